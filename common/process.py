@@ -1,0 +1,90 @@
+"""How every process of a cell begins and ends: arguments, config, signals, bus, runner, exit code."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn, TypeVar
+
+from common.built import Built, codec_for, new_boot_id
+from common.buslog import BusLog, LogSink, NoLog
+from common.cell import SharedConfig
+from common.clock import WallClock
+from common.config import ConfigError, load
+from common.live import LiveRunner
+from common.runner import Dispatcher
+from common.zenoh_bus import ZenohBus
+from common.zenoh_router import BusError
+
+ProcessT = TypeVar("ProcessT", bound=SharedConfig)
+
+
+def run_process(name: str, model: type[ProcessT], build: Callable[[ProcessT, int], Built]) -> None:
+    """Run one service until it finishes or TERM arrives; ends the process.
+
+    `build(config, boot_id)` makes the service. Exit codes: 0 finished or stopped, 2 bad config, 3 no bus.
+    """
+    try:
+        config = load(model, *_arguments(name))
+    except ConfigError as error:
+        print(error, file=sys.stderr)
+        _exit(2)
+    _exit(_serve(name, config, build))
+
+
+def _arguments(name: str) -> tuple[Path, list[str]]:
+    parser = argparse.ArgumentParser(description=f"GC-PMPC process: {name}")
+    parser.add_argument("--config", type=Path, required=True, help="YAML rendered by deploy for this process")
+    parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="a.b=c")
+    arguments = parser.parse_args()
+    return arguments.config, arguments.overrides
+
+
+def _serve(name: str, config: ProcessT, build: Callable[[ProcessT, int], Built]) -> int:
+    stop = _stop_on_signals()
+    boot_id = new_boot_id()
+    built = build(config, boot_id)
+    try:
+        bus = ZenohBus(config.bus, config.cell, name)
+    except BusError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return 3
+    dispatcher = Dispatcher(
+        built.service, codec_for(config.task), bus, built.ports, _log(name, config, boot_id)
+    )
+    try:
+        return LiveRunner(dispatcher, WallClock(), config.config_hash).run(stop)
+    finally:
+        bus.close()
+
+
+def _log(name: str, config: SharedConfig, boot_id: int) -> LogSink:
+    if not config.log.enabled:
+        return NoLog()
+    megabyte = 1_000_000
+    return BusLog(
+        config.run_dir / "log",
+        name,
+        boot_id,
+        round(config.log.segment_mb * megabyte),
+        round(config.log.keep_mb * megabyte),
+    )
+
+
+def _stop_on_signals() -> threading.Event:
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda _number, _frame: stop.set())
+    return stop
+
+
+def _exit(code: int) -> NoReturn:
+    """End now: a worker in the middle of a long computation cannot be joined in time."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)

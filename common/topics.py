@@ -1,0 +1,78 @@
+"""THE table of topics: key, message, nominal rate, delivery, and whether it is logged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from common import messages
+from common.messages import Message
+
+
+class Priority(Enum):
+    """Zenoh priority classes that are in use."""
+
+    REAL_TIME = "real_time"
+    DATA = "data"
+    BACKGROUND = "background"
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One row of the table: what travels on a key and how it is delivered."""
+
+    key: str  # a final `*` stands for the sender's name
+    message: type[Message]
+    about: str
+    rate_hz: float | None = None  # nominal while an episode runs; None: on events
+    priority: Priority = Priority.DATA
+    block: bool = False  # congestion: wait for the link (own sender thread) instead of dropping
+    latched: int = 0  # samples kept by the sender for those who join late or lost some
+    recovered: bool = False  # receivers ask again for samples they missed
+    logged: bool = True
+    max_bytes: int = 64 * 1024
+
+
+STEP = Topic(
+    "control/step",
+    messages.Step,
+    "state, goal and executed action, per control step",
+    rate_hz=25.0,
+    priority=Priority.REAL_TIME,
+    latched=256,
+    recovered=True,
+)
+CHUNK = Topic(
+    "control/chunk",
+    messages.Chunk,
+    "planned actions by step index",
+    priority=Priority.REAL_TIME,
+)
+EPISODE = Topic("task/episode", messages.Episode, "what to do now", latched=1, recovered=True)
+ACK = Topic("learn/ack", messages.Ack, "episode is on disk", latched=16, recovered=True)
+METRICS = Topic("learn/metrics", messages.Metrics, "losses, hold-out error, calibration", latched=1)
+SNAPSHOT = Topic(
+    "model/snapshot",
+    messages.SnapshotMessage,
+    "ensemble weights and normaliser",
+    priority=Priority.BACKGROUND,
+    block=True,
+    latched=1,
+    max_bytes=256 * 1024 * 1024,
+)
+HEALTH = Topic("health/*", messages.Health, "heartbeat of a main loop", rate_hz=2.0, latched=1)
+
+TOPICS: tuple[Topic, ...] = (STEP, CHUNK, EPISODE, ACK, METRICS, SNAPSHOT, HEALTH)
+
+# Ports are private to a runner; they stand here because their frames are logged and replayed alike.
+PLANT_COMMAND = Topic("port/plant/command", messages.PlantCommand, "to the simulated hand")
+PLANT_FRAME = Topic("port/plant", messages.PlantFrame, "from the simulated hand")
+PORTS: tuple[Topic, ...] = (PLANT_COMMAND, PLANT_FRAME)
+
+
+def topic_of(key: str) -> Topic:
+    """Find the row of a concrete key such as `health/planner`. Raises KeyError for an unknown key."""
+    for topic in (*TOPICS, *PORTS):
+        if topic.key == key or (topic.key.endswith("/*") and key.startswith(topic.key[:-1])):
+            return topic
+    raise KeyError(key)
