@@ -1,0 +1,73 @@
+"""What every task defines: state layout, achieved goal, rewards, errors and success, for numpy and torch."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+from common.geometry import Array, namespace
+from common.task.layout import ACTUATOR_NAMES, FINGER_NAMES, JOINT_NAMES, Group
+
+
+@dataclass(frozen=True)
+class Task(ABC):
+    """A goal-conditioned task: pure functions of a state (..., S) and a goal (G,) or (..., G).
+
+    S state, A action, G goal dimensions. Positions in m in the world frame, quaternions wxyz, angles in rad;
+    object_angular_velocity is in the object's own frame, as MuJoCo gives it. Actions are in [-1, 1].
+    """
+
+    name: str
+    groups: tuple[Group, ...]
+    goal_dim: int
+    action_dim: int = len(ACTUATOR_NAMES)
+    joint_names: tuple[str, ...] = JOINT_NAMES
+    actuator_names: tuple[str, ...] = ACTUATOR_NAMES
+    finger_names: tuple[str, ...] = FINGER_NAMES
+
+    @property
+    def state_dim(self) -> int:
+        """S, the number of state dimensions."""
+        return self.groups[-1].stop
+
+    def group(self, name: str) -> Group:
+        """The group called `name`. Raises KeyError naming those that there are."""
+        for group in self.groups:
+            if group.name == name:
+                return group
+        raise KeyError(f"{self.name} has no group {name}; it has {', '.join(g.name for g in self.groups)}")
+
+    def plausible(self, state: Array) -> Array:
+        """Whether each state (..., S) is finite and within every group's bounds: bool (...)."""
+        xp = namespace(state)
+        inside = xp.all(xp.isfinite(state), axis=-1)
+        for group in self.groups:
+            value = state[..., group.slice]
+            if group.kind == "quaternion":
+                value = xp.linalg.vector_norm(value, axis=-1, keepdims=True)
+            inside = inside & xp.all((value >= group.low) & (value <= group.high), axis=-1)
+        return inside
+
+    @abstractmethod
+    def dropped(self, state: Array) -> Array:
+        """Whether the object has left the hand: bool (...); never for a task without one."""
+
+    @abstractmethod
+    def achieved(self, state: Array) -> Array:
+        """The goal (..., G) that each state (..., S) attains."""
+
+    @abstractmethod
+    def reward(self, state: Array, goal: Array) -> Array:
+        """What the planner maximises (...): at most 0, differentiable, blind to a quaternion's sign."""
+
+    @abstractmethod
+    def env_reward(self, state: Array, goal: Array) -> Array:
+        """The dense reward (...) exactly as the environment's compute_reward gives it."""
+
+    @abstractmethod
+    def errors(self, state: Array, goal: Array) -> dict[str, Array]:
+        """Named distances (...) to the goal, the unit in each name."""
+
+    @abstractmethod
+    def successes(self, state: Array, goal: Array) -> dict[str, Array]:
+        """Named verdicts, bool (...); `success_paper` and `success_env` exist for every task."""

@@ -1,0 +1,23 @@
+"""Puts the simulated hand together from its configuration."""
+
+from __future__ import annotations
+
+from common.built import Built
+from common.cell import SharedConfig
+from common.task import get_task
+from services.sim.config import SimConfig
+from services.sim.plant import ShadowHandPlant
+from services.sim.port import PlantPort
+from services.sim.service import SimService
+
+
+class SimProcess(SharedConfig):
+    """What the sim process is started with."""
+
+    sim: SimConfig = SimConfig()
+
+
+def build(config: SimProcess, boot_id: int) -> Built:
+    """Make the service and the simulated hand that it drives."""
+    service = SimService(config, get_task(config.task), boot_id)
+    return Built(service, {"plant": PlantPort(ShadowHandPlant(config.task))})
