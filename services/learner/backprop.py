@@ -1,0 +1,102 @@
+"""The ensemble with its backward pass written out, for training: a third faster on a CPU than autograd's.
+
+Autograd allocates every weight gradient anew, sums those of step 1 and step 2 in another pass, and the decay
+in one more; here each product is added to `.grad` as it is computed.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+from torch.nn.functional import silu
+
+from common.model.ensemble import Ensemble
+from common.model.masks import Masks
+
+
+class TrainedEnsemble(Ensemble):
+    """Same parameters and arithmetic as Ensemble; backward adds to `.grad`, which `start_gradient` fills."""
+
+    @staticmethod
+    def like(ensemble: Ensemble) -> TrainedEnsemble:
+        """The given ensemble, its tensors shared."""
+        weights, biases = [w.detach() for w in ensemble.weights], [b.detach() for b in ensemble.biases]
+        bounds = ensemble.max_log_var.detach(), ensemble.min_log_var.detach()
+        return TrainedEnsemble(weights, biases, *bounds)
+
+    def forward(self, x: Tensor, masks: Sequence[Tensor] | None = None) -> tuple[Tensor, Tensor]:
+        """Features (B, N, I) → mean and log-variance, (B, N, S) each, as Ensemble."""
+        held = None if masks is None else tuple(masks)
+        out = _Network.apply(x, held, len(self.weights), *self.weights, *self.biases)
+        assert isinstance(out, Tensor)
+        mean, raw_log_var = torch.split(out, self.state_dim, dim=-1)
+        return mean, self.clamp(raw_log_var)
+
+    @torch.no_grad()
+    def start_gradient(self, decay: Sequence[float], biases: bool) -> None:
+        """Set every `.grad` to the gradient of the weight decay, 2 lambda_l W_l; backward adds the rest."""
+        for parameter in self.parameters():
+            if parameter.grad is None:
+                parameter.grad = torch.zeros_like(parameter)
+        for bound in (self.max_log_var, self.min_log_var):
+            _grad(bound).zero_()
+        for rate, weight, bias in zip(decay, self.weights, self.biases, strict=True):
+            torch.mul(weight, 2 * rate, out=_grad(weight))
+            torch.mul(bias, 2 * rate if biases else 0.0, out=_grad(bias))
+
+
+class _Network(torch.autograd.Function):
+    """x, masks, number of layers L, L weights, L biases → output of the head (B, N, 2 S)."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, masks: Masks | None, layers: int, *parameters: Tensor) -> Tensor:
+        weights, biases = parameters[:layers], parameters[layers:]
+        inputs, sums = [x], []
+        for layer in range(layers - 1):
+            sums.append(torch.baddbmm(biases[layer], inputs[-1], weights[layer]))
+            h = silu(sums[-1])
+            inputs.append(h if masks is None else h.mul_(masks[layer]))
+        ctx.parameters, ctx.masks, ctx.layers = parameters, masks, layers
+        ctx.save_for_backward(*inputs, *sums)
+        return torch.baddbmm(biases[-1], inputs[-1], weights[-1])
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        (g,) = gradients
+        layers, parameters, masks = ctx.layers, ctx.parameters, ctx.masks
+        inputs, sums = ctx.saved_tensors[:layers], ctx.saved_tensors[layers:]
+        for layer in reversed(range(layers)):
+            weight, bias = parameters[layer], parameters[layers + layer]
+            _grad(weight).baddbmm_(inputs[layer].transpose(1, 2), g)
+            _grad(bias).add_(g.sum(dim=1, keepdim=True))
+            if layer == 0:
+                break
+            g = torch.bmm(g, weight.transpose(1, 2))
+            if masks is not None:
+                g.mul_(masks[layer - 1])
+            torch.ops.aten.silu_backward.grad_input(g, sums[layer - 1], grad_input=g)
+        dx = torch.bmm(g, parameters[0].transpose(1, 2)) if ctx.needs_input_grad[0] else None
+        return dx, None, None, *([None] * len(parameters))
+
+
+def _grad(parameter: Tensor) -> Tensor:
+    assert parameter.grad is not None, "start_gradient comes before backward"
+    return parameter.grad
+
+
+def keep_freed_memory() -> bool:
+    """Tell glibc to keep freed memory in this process instead of giving it back after each gradient step.
+
+    Fetching it again costs a page fault per 4 KiB, a tenth of the step. False where there is no glibc.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is None:
+        return False
+    trim_threshold, mmap_threshold = -1, -3
+    return bool(mallopt(trim_threshold, 1 << 30)) and bool(mallopt(mmap_threshold, 1 << 30))

@@ -1,0 +1,69 @@
+"""The replay on disk: one file an episode, written so that an acknowledged episode is never lost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from services.learner.episode import Episode, EpisodeRefused, check, from_bytes, to_bytes
+from services.learner.replay import Replay
+from services.learner.storage import sweep_partial, write_atomically
+
+
+class EpisodeStore:
+    """Episodes of one task in a directory that one learner writes; `replay` holds them in memory.
+
+    `corrupt` names the files that could not be used at opening (they stay where they are), `leftovers`
+    counts half-written files that a dead writer left (they are removed).
+    """
+
+    def __init__(self, directory: Path, state_dim: int, action_dim: int, holdout: float = 0.0) -> None:
+        self.replay = Replay(state_dim, action_dim, holdout)
+        self.corrupt: list[str] = []
+        self._directory = directory
+        self._keys: set[tuple[int, int]] = set()
+        self._next = 0
+        directory.mkdir(parents=True, exist_ok=True)
+        self.leftovers = sweep_partial(directory)
+        for path in sorted(directory.glob("*.safetensors")):
+            self._load(path)
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+    def __contains__(self, key: tuple[int, int]) -> bool:
+        return key in self._keys
+
+    @property
+    def newest_episode(self) -> int:
+        """The highest episode id in the store; -1 when it is empty."""
+        return max((episode for _, episode in self._keys), default=-1)
+
+    def append(self, episode: Episode) -> bool:
+        """Store an episode; when this returns it is on disk. False: this (boot, episode) is there already.
+
+        Raises EpisodeRefused on an evaluation episode or on malformed data, and stores nothing then.
+        """
+        if episode.key in self._keys:
+            return False
+        check(episode, self.replay.state_dim, self.replay.action_dim)
+        # The number leads so that a sorted listing is the order of arrival, which "recent" rests on.
+        name = f"{self._next:08d}-{episode.boot_id:x}-{episode.episode}.safetensors"
+        write_atomically(self._directory / name, to_bytes(episode))
+        self._next += 1
+        self._remember(episode)
+        return True
+
+    def _load(self, path: Path) -> None:
+        try:
+            self._next = max(self._next, int(path.name.partition("-")[0]) + 1)
+            episode = from_bytes(path.read_bytes())
+            check(episode, self.replay.state_dim, self.replay.action_dim)
+        except (EpisodeRefused, OSError, ValueError):
+            self.corrupt.append(path.name)
+            return
+        if episode.key not in self._keys:
+            self._remember(episode)
+
+    def _remember(self, episode: Episode) -> None:
+        self._keys.add(episode.key)
+        self.replay.add(episode)
