@@ -1,0 +1,125 @@
+"""The planner's section of a cell: a preset names a set of values, any of which the YAML may override."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from common.config import Frozen
+
+# `paper` is what the fields below default to.
+PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+    {
+        "paper": {},
+        "fast": {
+            "horizon": 5,
+            "masks": 1,
+            "search": "icem",
+            "candidates": 64,
+            "elites": 8,
+            "iterations": 2,
+            "knots": 1,
+            "refine_sequences": 4,
+            "refine_steps": 5,
+        },
+    }
+)
+
+
+class PlannerConfig(Frozen):
+    """How to plan. Defaults are the values of the paper, and of DPETS where the paper gives none."""
+
+    preset: Literal["paper", "fast"] = "paper"
+
+    # Particles: B members with M Dropout masks each.
+    members: int = Field(default=5, ge=1, description="B, the members of the ensemble that are used")
+    masks: int = Field(default=4, ge=1, description="M, the planning masks used of each member")
+    propagation: Literal["particles", "average", "sampled"] = Field(
+        default="particles",
+        description="particles stay apart and follow means; are averaged at each step (Eq. (1) as printed); "
+        "or stay apart and draw from each predicted Gaussian (PETS)",
+    )
+
+    # Horizon and shape of a candidate.
+    horizon: int = Field(default=50, ge=1, description="H, steps; the paper's real hand uses 30")
+    horizon_to_episode_end: bool = Field(
+        default=False, description="never look beyond the episode's last step"
+    )
+    knots: int = Field(
+        default=0, ge=0, description="K, free actions over the horizon; 1 = constant, 0 = one per step"
+    )
+    interpolation: Literal["linear", "hold"] = "linear"
+
+    # Objective, Eq. (5).
+    smooth_weight: float = Field(default=0.01, ge=0.0, description="λ, reward per unit of summed |Δs|")
+    smooth_groups: tuple[str, ...] = Field(
+        default=("qpos", "object_position", "object_rotation"),
+        description="state groups that are smoothed, in raw units; names that the task lacks are skipped",
+    )
+    smooth_sign: Literal["subtract", "printed"] = Field(
+        default="subtract", description="`printed` adds the term"
+    )
+    disagreement_weight: float = Field(
+        default=0.0, ge=0.0, description="per unit of the return's std over particles"
+    )
+
+    # Search over candidates.
+    search: Literal["cem", "icem", "none"] = "cem"
+    candidates: int = Field(default=500, ge=1, description="N, in the first iteration")
+    elites: int = Field(default=50, ge=1)
+    iterations: int = Field(default=5, ge=1)
+    momentum: float = Field(default=0.1, ge=0.0, lt=1.0, description="α, share of the old mean and variance")
+    init_std: float = Field(
+        default=0.5, gt=0.0, description="a quarter of the action range: variance (ub - lb)²/16"
+    )
+    min_variance: float = Field(default=1e-3, ge=0.0, description="CEM stops below it")
+    noise_beta: float = Field(default=2.0, ge=0.0, description="iCEM: noise power falls as frequency^-β")
+    population_decay: float = Field(
+        default=1.25, ge=1.0, description="iCEM: candidates shrink by it each iteration"
+    )
+    keep_fraction: float = Field(
+        default=0.3, ge=0.0, le=1.0, description="iCEM: share of the elites that is kept"
+    )
+
+    # Gradient refinement of the best sequences through the model.
+    refine_sequences: int = Field(default=0, ge=0)
+    refine_steps: int = Field(default=0, ge=0)
+    refine_rate: float = Field(default=0.08, gt=0.0, description="Adam's step, in normalised action")
+
+    # Time and exploration; x and the start of an episode are the cell's `control` section.
+    declared_solve_ms: float = Field(default=50.0, gt=0.0, description="how long a plan takes in lock-step")
+    explore_std: float = Field(
+        default=0.0, ge=0.0, description="noise added to the actions of exploring episodes"
+    )
+    explore_every: int = Field(default=2, ge=1, description="one training episode in so many explores")
+    explore_redraw: float = Field(
+        default=0.1, ge=0.0, le=1.0, description="a joint's chance per step of new noise"
+    )
+
+    threads: int = Field(default=1, ge=1)
+    device: str = "cpu"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _expand_preset(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping):
+            return data
+        return {**PRESETS.get(str(data.get("preset", "paper")), {}), **data}
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.elites > self.candidates:
+            raise ValueError(f"elites ({self.elites}) exceed candidates ({self.candidates})")
+        if self.refines and self.propagation == "sampled":
+            raise ValueError("refinement needs a deterministic model: propagation `sampled` has none")
+        if self.search == "none" and not self.refines:
+            raise ValueError("search `none` needs refine_sequences and refine_steps")
+        return self
+
+    @property
+    def refines(self) -> bool:
+        """Whether sequences are improved by gradient after the search."""
+        return self.refine_sequences > 0 and self.refine_steps > 0

@@ -1,0 +1,74 @@
+"""What a plan maximises, Eq. (5): reward minus a price on state changes, averaged over particles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from common.task import Task
+from services.planner.config import PlannerConfig
+
+# A further term: predicted states (H, P, N, S) → its share of the return (P, N).
+Term = Callable[[Tensor], Tensor]
+
+
+@dataclass(frozen=True)
+class Objective:
+    """J = mean_p[ Σ_{h=1..H} R(ŝ_h) - λ Σ_{h=0..H-1} ‖ŝ_{h+1} - ŝ_h‖₁ + terms ] - w · std_p[ same ].
+
+    H horizon, P particles, N candidates, S state, G goal. ŝ_0 is where the candidates start.
+    """
+
+    # Paper: Eq. (5) adds the smoothing term to a maximised sum, which would reward jumps; here it is
+    # subtracted (a negative `smooth_weight` is the printed sign), and it acts on `smooth_slices` alone.
+    # Paper: Eq. (1) sums R(s_t .. s_{t+H-1}), whose first term no action changes; here ŝ_{t+1} .. ŝ_{t+H}.
+
+    reward: Callable[[Tensor, Tensor], Tensor]
+    plausible: Callable[[Tensor], Tensor]
+    smooth_slices: tuple[slice, ...] = ()
+    smooth_weight: float = 0.0
+    disagreement_weight: float = 0.0
+    terms: tuple[Term, ...] = ()
+
+    @staticmethod
+    def create(task: Task, config: PlannerConfig, terms: tuple[Term, ...] = ()) -> Objective:
+        """The objective of `task` with the weights of `config`."""
+        slices = tuple(group.slice for group in task.groups if group.name in config.smooth_groups)
+        sign = 1.0 if config.smooth_sign == "subtract" else -1.0
+        return Objective(
+            task.reward,
+            task.plausible,
+            slices,
+            sign * config.smooth_weight,
+            config.disagreement_weight,
+            terms,
+        )
+
+    def __call__(self, start: Tensor, states: Tensor, goal: Tensor) -> Tensor:
+        """Scores (N,) of predicted states (H, P, N, S) from start (P, 1, S) or (P, N, S) for goal (G,).
+
+        A candidate with an implausible state (non-finite, or out of the task's bounds) scores -inf.
+        """
+        returns = self.reward(states, goal).sum(0) - self._smoothing(start, states)
+        for term in self.terms:
+            returns = returns + term(states)
+        score = returns.mean(0)
+        if self.disagreement_weight > 0.0:
+            score = score - self.disagreement_weight * returns.std(0, correction=0)
+        sound = self.plausible(states.detach()).all(dim=0).all(dim=0)
+        return torch.where(sound, score, -math.inf)
+
+    def _smoothing(self, start: Tensor, states: Tensor) -> Tensor | float:
+        """λ Σ_h ‖ŝ_{h+1} - ŝ_h‖₁ over the smoothed dimensions: (P, N)."""
+        if self.smooth_weight == 0.0 or not self.smooth_slices:
+            return 0.0
+        jumps = 0.0
+        for part in self.smooth_slices:
+            moving = states[..., part]
+            jumps = jumps + (moving[0] - start[..., part]).abs().sum(-1)
+            jumps = jumps + moving.diff(dim=0).abs().sum((0, -1))
+        return self.smooth_weight * jumps

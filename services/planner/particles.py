@@ -1,0 +1,280 @@
+"""The ensemble as P independent networks, laid out for speed: what a plan spends its time in.
+
+Each particle is one member with one Dropout mask. Normaliser, target scale and mask are folded into its own
+copy of the weights once a snapshot, so that a step is matrix products and SiLU alone.
+Letters: B members, M masks, P = B·M particles, N candidates, I inputs, S state, A action.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+from torch.nn.functional import silu, softplus
+
+from common.model.dynamics import Dynamics
+from common.model.masks import MaskPool
+
+_silu_backward = torch.ops.aten.silu_backward
+
+
+class ParticleModel(Protocol):
+    """What the planner asks of a dynamics model."""
+
+    particles: int
+
+    def step(self, state: Tensor, action: Tensor, noise: torch.Generator | None = None) -> Tensor:
+        """State (P, N, S), or (P, 1, S) if all candidates share it, and action (N, A) → (P, N, S).
+
+        With `noise` the next state is drawn from the predicted Gaussian, else it is its mean.
+        """
+        ...
+
+
+class Layer:
+    """A linear layer of each particle: weights (P, in, out) and biases (P, 1, out)."""
+
+    def __init__(self, weight: Tensor, bias: Tensor) -> None:
+        self.weight, self.bias = weight, bias
+        self.outputs = weight.shape[2]
+        self.on_cpu = weight.device.type == "cpu"
+        # Views made once: at planning sizes making them costs as much as a tenth of the product.
+        self.rows = list(zip(weight.unbind(), bias.unbind(), strict=True))
+
+    @cached_property
+    def transposed(self) -> Tensor:
+        """Weights (P, out, in), for gradients."""
+        return self.weight.transpose(1, 2).contiguous()
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """(P, N, in) → (P, N, out); a product per particle on CPU, where that is faster than one batched."""
+        if not self.on_cpu:
+            return torch.baddbmm(self.bias, x, self.weight)
+        out = x.new_empty(*x.shape[:2], self.outputs)
+        for (weight, bias), row, to in zip(self.rows, x.unbind(), out.unbind(), strict=True):
+            torch.addmm(bias, row, weight, out=to)
+        return out
+
+    def pull_back(self, gradient: Tensor) -> Tensor:
+        """Gradient for the outputs (P, N, out) → for the inputs (P, N, in)."""
+        if not self.on_cpu:
+            return torch.bmm(gradient, self.transposed)
+        out = gradient.new_empty(*gradient.shape[:2], self.weight.shape[1])
+        for weight, row, to in zip(self.transposed.unbind(), gradient.unbind(), out.unbind(), strict=True):
+            torch.mm(row, weight, out=to)
+        return out
+
+
+class Network:
+    """P multilayer perceptrons with SiLU between their layers."""
+
+    def __init__(self, layers: Sequence[Layer]) -> None:
+        self.layers = tuple(layers)
+        self.particles = layers[0].weight.shape[0]
+        self._scratch = layers[0].weight.new_empty(2, 0)
+
+    def evaluate(self, x: Tensor, first: Layer | None = None) -> Tensor:
+        """Inputs (P, N, I) → outputs (P, N, O), without a record for gradients.
+
+        `first` replaces the first layer, for inputs of which a part is already summed up in its bias.
+        """
+        layers = self.layers if first is None else (first, *self.layers[1:])
+        if layers[0].on_cpu:
+            return self._one_by_one(x, layers)
+        for layer in layers[:-1]:
+            x = silu(layer(x), inplace=True)
+        return layers[-1](x)
+
+    def evaluate_saving(self, x: Tensor) -> tuple[Tensor, list[Tensor]]:
+        """Inputs (P, N, I) → outputs (P, N, O), and each hidden layer before its SiLU (P, N, hidden)."""
+        saved: list[Tensor] = []
+        for layer in self.layers[:-1]:
+            saved.append(layer(x))
+            x = silu(saved[-1])
+        return self.layers[-1](x), saved
+
+    def pull_back(self, gradient: Tensor, saved: Sequence[Tensor]) -> Tensor:
+        """Gradient for the outputs (P, N, O) → gradient for the inputs (P, N, I)."""
+        for layer, before in zip(self.layers[:0:-1], reversed(saved), strict=True):
+            gradient = _silu_backward(layer.pull_back(gradient), before)
+        return self.layers[0].pull_back(gradient)
+
+    def _one_by_one(self, x: Tensor, layers: Sequence[Layer]) -> Tensor:
+        """All layers of a particle, then the next particle: its activations (N, hidden) stay in the cache."""
+        N = x.shape[1]
+        out = x.new_empty(self.particles, N, layers[-1].outputs)
+        scratch = self._buffers(N * max(layer.outputs for layer in layers[:-1]))
+        hidden = [scratch[i % 2, : N * layer.outputs].view(N, -1) for i, layer in enumerate(layers[:-1])]
+        for p in range(self.particles):
+            h = x[p]
+            for layer, buffer in zip(layers[:-1], hidden, strict=True):
+                weight, bias = layer.rows[p]
+                h = silu(torch.addmm(bias, h, weight, out=buffer), inplace=True)
+            weight, bias = layers[-1].rows[p]
+            torch.addmm(bias, h, weight, out=out[p])
+        return out
+
+    def _buffers(self, size: int) -> Tensor:
+        """Two rows of scratch, used in turn; grown when more candidates come than before."""
+        if self._scratch.shape[1] < size:
+            self._scratch = self._scratch.new_empty(2, size)
+        return self._scratch
+
+
+@dataclass(frozen=True)
+class NoiseHead:
+    """Bounds of the log-variance (S,) and the scale (S,) from target to state units."""
+
+    max_log_var: Tensor
+    min_log_var: Tensor
+    scale: Tensor
+
+    def draw(self, raw_log_var: Tensor, generator: torch.Generator) -> Tensor:
+        """Aleatoric noise (P, N, S), state units, for the head's raw log-variance (P, N, S)."""
+        below = self.max_log_var - softplus(self.max_log_var - raw_log_var)
+        log_var = self.min_log_var + softplus(below - self.min_log_var)
+        white = torch.randn(raw_log_var.shape, generator=generator, device=generator.device)
+        return white.to(raw_log_var) * (0.5 * log_var).exp() * self.scale
+
+
+class Particles:
+    """The planner's model: s' = renormalise(s + f_p(s, a)) for P particles and N candidates at once."""
+
+    def __init__(
+        self,
+        network: Network,
+        noise_head: NoiseHead | None = None,
+        renormalise: Callable[[Tensor], Tensor] = lambda state: state,
+    ) -> None:
+        self.network = network
+        self.particles = network.particles
+        self._noise_head = noise_head
+        self._renormalise = renormalise
+
+    def step(self, state: Tensor, action: Tensor, noise: torch.Generator | None = None) -> Tensor:
+        """As `ParticleModel.step`; differentiable in state and action unless `noise` is given."""
+        if torch.is_grad_enabled() and (state.requires_grad or action.requires_grad):
+            moved: Tensor = _Step.apply(state, action, self.network)  # pyright: ignore[reportAssignmentType]
+            return self._renormalise(moved)
+        delta = self._evaluate(state, action)
+        if noise is not None:
+            delta = self._drawn(delta, noise)
+        return self._renormalise(state + delta)
+
+    def _evaluate(self, state: Tensor, action: Tensor) -> Tensor:
+        if not state.shape[1] == 1 < len(action):
+            return self.network.evaluate(_inputs(state, action))
+        # All candidates start at one state: its share of the first layer is summed up once, as a bias.
+        first, S = self.network.layers[0], state.shape[2]
+        bias = torch.baddbmm(first.bias, state, first.weight[:, :S])
+        return self.network.evaluate(action.expand(self.particles, -1, -1), Layer(first.weight[:, S:], bias))
+
+    def _drawn(self, output: Tensor, noise: torch.Generator) -> Tensor:
+        """Head's mean and log-variance (P, N, 2 S) → a sample of the state change (P, N, S)."""
+        if self._noise_head is None:
+            raise ValueError("these particles were built without the variance head")
+        mean, raw_log_var = output.chunk(2, dim=-1)
+        return mean + self._noise_head.draw(raw_log_var, noise)
+
+
+def particles(
+    dynamics: Dynamics,
+    pool: MaskPool | None,
+    members: int,
+    masks: int,
+    *,
+    sampled: bool = False,
+    device: str | torch.device = "cpu",
+) -> Particles:
+    """The first `members` of a model, each with the first `masks` of its planning pool (None: no Dropout).
+
+    `sampled` keeps the variance head, which means alone do not need. Raises ValueError when the model has
+    fewer members or masks, or inputs other than state and action.
+    """
+    weights, biases = _folded(dynamics, members)
+    state_dim = len(dynamics.normaliser.state_mean)
+    if not sampled:
+        weights[-1], biases[-1] = weights[-1][..., :state_dim], biases[-1][..., :state_dim]
+    if pool is not None:
+        kept = [layer[:members] for layer in pool.particles(masks)]
+        weights, biases = _with_masks(weights, biases, kept)
+    pairs = zip(weights, biases, strict=True)
+    network = Network([Layer(_as_weight(weight, device), _as_weight(bias, device)) for weight, bias in pairs])
+    head = _noise_head(dynamics, device) if sampled else None
+    return Particles(network, head, dynamics.renormalise)
+
+
+def _folded(dynamics: Dynamics, members: int) -> tuple[list[Tensor], list[Tensor]]:
+    """Weights (B, in, out) and biases, float64, that take raw state and action and give the raw change."""
+    ensemble, scale = dynamics.ensemble, dynamics.normaliser
+    weights = [weight.detach()[:members].double() for weight in ensemble.weights]
+    biases = [bias.detach()[:members].double() for bias in ensemble.biases]
+    if len(weights[0]) < members:
+        raise ValueError(f"{members} members wanted from an ensemble of {len(weights[0])}")
+    mean = torch.cat((scale.state_mean, scale.action_mean)).double()
+    if weights[0].shape[1] != len(mean):
+        raise ValueError(f"the model has {weights[0].shape[1]} inputs, state and action make {len(mean)}")
+    weights[0] = weights[0] / torch.cat((scale.state_std, scale.action_std)).double()[:, None]
+    biases[0] = biases[0] - mean[None] @ weights[0]
+    if dynamics.standardised_targets:
+        _scale_mean_head(weights, biases, scale.delta_mean.double(), scale.delta_std.double())
+    return weights, biases
+
+
+def _scale_mean_head(weights: list[Tensor], biases: list[Tensor], mean: Tensor, std: Tensor) -> None:
+    """Make the head's mean half raw: delta = std·output + mean; the log-variance half stays as it is."""
+    rest = weights[-1].shape[-1] - len(std)
+    factor = torch.cat((std, std.new_ones(rest)))
+    weights[-1] = weights[-1] * factor
+    biases[-1] = biases[-1] * factor + torch.cat((mean, mean.new_zeros(rest)))
+
+
+def _with_masks(
+    weights: Sequence[Tensor], biases: Sequence[Tensor], masks: Sequence[Tensor]
+) -> tuple[list[Tensor], list[Tensor]]:
+    """A copy of each member (B, in, out) per mask (B, M, hidden): (B·M, in, out)."""
+    M = masks[0].shape[1]
+    repeated = [weight.repeat_interleave(M, dim=0) for weight in weights]
+    for layer, mask in enumerate(masks, start=1):
+        repeated[layer] = repeated[layer] * mask.to(weights[0]).flatten(0, 1)[:, :, None]
+    return repeated, [bias.repeat_interleave(M, dim=0) for bias in biases]
+
+
+def _noise_head(dynamics: Dynamics, device: str | torch.device) -> NoiseHead:
+    ensemble, std = dynamics.ensemble, dynamics.normaliser.delta_std
+    scale = std if dynamics.standardised_targets else torch.ones_like(std)
+    bounds = (ensemble.max_log_var.detach(), ensemble.min_log_var.detach())
+    return NoiseHead(*(_as_weight(tensor, device) for tensor in (*bounds, scale)))
+
+
+def _as_weight(tensor: Tensor, device: str | torch.device) -> Tensor:
+    return tensor.to(device, torch.float32).contiguous()
+
+
+def _inputs(state: Tensor, action: Tensor) -> Tensor:
+    """State (P, N or 1, S) and action (N, A) side by side (P, N, S + A)."""
+    P, N = state.shape[0], len(action)
+    return torch.cat((state.expand(-1, N, -1), action.expand(P, -1, -1)), dim=-1)
+
+
+class _Step(torch.autograd.Function):
+    """s + f(s, a) with gradients for state and action, none for the weights."""
+
+    @staticmethod
+    def forward(ctx: Any, state: Tensor, action: Tensor, network: Network) -> Tensor:
+        delta, saved = network.evaluate_saving(_inputs(state, action))
+        ctx.network, ctx.saved, ctx.shared = network, saved, state.shape[1] == 1
+        return delta.add_(state)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, Tensor, None]:
+        S = gradients[0].shape[-1]
+        inputs = ctx.network.pull_back(gradients[0].contiguous(), ctx.saved)
+        state = gradients[0] + inputs[..., :S] if ctx.needs_input_grad[0] else None
+        if state is not None and ctx.shared:
+            state = state.sum(1, keepdim=True)
+        return state, inputs[..., S:].sum(0), None

@@ -1,0 +1,224 @@
+"""Asynchronous MPC (Sec. III-B): while the plant executes x actions, the next chunk is planned."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from common.bus import Inbox, Input, JobResult
+from common.cell import SharedConfig
+from common.executor import ActionBuffer
+from common.messages import Chunk, Float32, Header, Mode, SnapshotMessage, Step
+from common.service import Job, Output, Publish, Report
+from common.task import Task
+from common.topics import CHUNK, SNAPSHOT, STEP
+from services.planner.config import PlannerConfig
+from services.planner.mpc import steps_per_plan
+from services.planner.solver import Request, Solution, Solver, held_noise
+
+SOLVE_WINDOW = 200
+AUTO_QUANTILE = 0.95  # x = auto is set by the solve time that 95 % of the plans stay below
+
+
+@dataclass
+class _Progress:
+    """Where planning stands within one episode and goal."""
+
+    identity: tuple[int, int, int]  # plant boot, episode, goal
+    planned_from: int = -1  # first step of the newest chunk that was requested
+    noise: Float32 | None = None
+
+
+class PlannerService:
+    """State machine of the planner: the newest state in, a chunk out, one plan at a time."""
+
+    name = "planner"
+    inputs = (
+        Input(STEP, newest=True, wake=True),
+        Input(SNAPSHOT, newest=True, wake=True),
+    )
+    period_ns: int | None = None
+
+    def __init__(
+        self, config: SharedConfig, planner: PlannerConfig, task: Task, solver: Solver, boot_id: int
+    ) -> None:
+        self._control = config.control
+        self._config = planner
+        self._seed = config.seed
+        self._task = task
+        self._solver = solver
+        self.boot_id = boot_id
+        self._mirror = ActionBuffer(task.action_dim, 0, config.control.hold_steps)
+        self._progress = _Progress((0, 0, 0))
+        self._solving: Request | None = None
+        self._loading = False
+        self._snapshot_id = ""
+        self._sent = 0
+        self._latency_ns = round(planner.declared_solve_ms * 1e6)
+        self._solve_ms: deque[float] = deque(maxlen=SOLVE_WINDOW)
+        self._counts: Counter[str] = Counter()
+        self._last_error = ""
+
+    def step(self, now_ns: int, inbox: Inbox) -> list[Output]:
+        """Publish what is solved, load what has arrived, and plan from the newest state if it is time to."""
+        out: list[Output] = []
+        for result in inbox.results:
+            self._take_result(result, out)
+        for sample in inbox.take(SNAPSHOT):
+            self._load(sample.message, out)
+        newest = inbox.newest(STEP)
+        if newest is not None:
+            self._consider(newest.header, newest.message, out)
+        return out
+
+    def stop(self, now_ns: int) -> list[Output]:
+        """Nothing needs saving."""
+        return []
+
+    def report(self) -> Report:
+        """Plan times over the last plans, counts since the start of the process."""
+        p50, p99 = np.percentile(self._solve_ms, (50, 99)) if self._solve_ms else (0.0, 0.0)
+        fields = {"plan_ms_p50": float(p50), "plan_ms_p99": float(p99), "x": float(self._x())}
+        fields |= {key: float(self._counts[key]) for key in ("plans", "snapshots", "refused_snapshots")}
+        fields |= {key: float(self._counts[key]) for key in ("diverged_plans", "failed_plans", "stale_plans")}
+        return Report(self._state(), fields)
+
+    def _state(self) -> str:
+        if self._last_error:
+            return self._last_error
+        if not self._snapshot_id:
+            return "waiting for a model"
+        return "planning" if self._solving else "ready"
+
+    def _x(self) -> int:
+        if isinstance(self._control.steps_per_plan, int):
+            return self._control.steps_per_plan
+        if not self._solve_ms:
+            return steps_per_plan(self._control.rate_hz, self._config.declared_solve_ms / 1e3)
+        return steps_per_plan(self._control.rate_hz, float(np.quantile(self._solve_ms, AUTO_QUANTILE)) / 1e3)
+
+    # --- results ---------------------------------------------------------------------------------
+
+    def _take_result(self, result: JobResult, out: list[Output]) -> None:
+        if result.name == "load":
+            self._loading = False
+            self._take_model(result)
+            return
+        request, self._solving = self._solving, None
+        if result.error:
+            self._counts["failed_plans"] += 1
+            self._last_error = f"plan failed: {result.error}"
+            self._progress.planned_from = -1  # a plant that stands waiting sends nothing that would ask again
+        elif isinstance(result.value, Solution) and request is not None:
+            self._last_error = ""
+            self._publish(result.value, result.duration_ns / 1e6, out)
+
+    def _take_model(self, result: JobResult) -> None:
+        if result.error:
+            self._counts["refused_snapshots"] += 1
+            self._last_error = f"snapshot refused: {result.error}"
+            return
+        self._counts["snapshots"] += 1
+        self._snapshot_id = str(result.value)
+        self._last_error = ""
+
+    def _load(self, message: SnapshotMessage, out: list[Output]) -> None:
+        self._loading = True
+        out.append(Job("load", self._solver.load, (message.payload,)))
+
+    def _publish(self, solution: Solution, solve_ms: float, out: list[Output]) -> None:
+        """Send the chunk unless the goal it was made for is gone."""
+        self._solve_ms.append(solve_ms)
+        self._counts["plans"] += 1
+        self._counts["diverged_plans"] += not solution.valid
+        request = solution.request
+        if (request.plant_boot_id, request.episode, request.goal_seq) != self._progress.identity:
+            self._counts["stale_plans"] += 1
+            return
+        chunk = self._chunk(solution, solve_ms)
+        self._mirror.offer(chunk, self._sent, request.source_k)
+        self._sent += 1
+        out.append(Publish(CHUNK, chunk))
+
+    def _chunk(self, solution: Solution, solve_ms: float) -> Chunk:
+        request = solution.request
+        length = len(solution.actions) if self._control.chunk == "horizon" else request.commit
+        return Chunk(
+            plant_boot_id=request.plant_boot_id,
+            episode=request.episode,
+            goal_seq=request.goal_seq,
+            first_k=request.first_k,
+            commit=request.commit,
+            actions=solution.actions[:length],
+            source_k=request.source_k,
+            source_t_ns=request.source_t_ns,
+            predicted_k=solution.predicted_k,
+            predicted_state=solution.predicted_state,
+            predicted_std=solution.predicted_std,
+            score=solution.score,
+            snapshot_id=solution.snapshot_id,
+            solve_ms=solve_ms,
+        )
+
+    # --- requests --------------------------------------------------------------------------------
+
+    def _consider(self, header: Header, step: Step, out: list[Output]) -> None:
+        if step.mode not in (Mode.PLAN, Mode.EVALUATE) or step.last:
+            return
+        self._follow(header, step)
+        if self._solving or self._loading or not self._snapshot_id:
+            return
+        request = self._request(header, step)
+        if request is not None:
+            self._solving = request
+            self._progress.planned_from = request.first_k
+            out.append(Job("plan", self._solver.solve, (request,), self._latency_ns))
+
+    def _follow(self, header: Header, step: Step) -> None:
+        """Keep the mirror of the plant's buffer in step with what the plant says that it executed."""
+        identity = (header.boot_id, step.episode, step.goal_seq)
+        if identity[:2] != self._progress.identity[:2]:
+            self._mirror.reset(*identity)
+            self._progress = _Progress(identity)
+        elif identity != self._progress.identity:
+            self._mirror.change_goal(*identity)
+            self._progress.identity = identity
+            self._progress.planned_from = -1
+        self._mirror.executed(step.prev_action)
+
+    def _request(self, header: Header, step: Step) -> Request | None:
+        """Decide what to plan from this step, if anything: every x steps, or once the planner is free."""
+        x = self._x()
+        ahead = 0 if step.waiting or self._control.synchronous else x
+        first_k = step.k + ahead
+        due = self._progress.planned_from < 0 or first_k >= self._progress.planned_from + x
+        already = self._control.synchronous and not step.waiting
+        if not due or already or first_k >= step.steps:
+            return None
+        return Request(
+            plant_boot_id=header.boot_id,
+            episode=step.episode,
+            goal_seq=step.goal_seq,
+            source_k=step.k,
+            source_t_ns=header.t_ns,
+            first_k=first_k,
+            commit=x,
+            steps=step.steps,
+            state=step.state,
+            goal=step.goal,
+            committed=self._mirror.peek(step.k, ahead),
+            noise=self._noise(step),
+        )
+
+    def _noise(self, step: Step) -> Float32:
+        """Exploration noise of this episode (steps, A): zero in evaluations and where none is wanted."""
+        if self._progress.noise is None:
+            config = self._config
+            explores = step.mode is Mode.PLAN and config.explore_std > 0
+            std = config.explore_std if explores and step.episode % config.explore_every == 0 else 0.0
+            self._progress.noise = held_noise(
+                self._seed, step.episode, step.steps, self._task.action_dim, std, config.explore_redraw
+            )
+        return self._progress.noise

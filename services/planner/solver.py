@@ -1,0 +1,126 @@
+"""The planner's long work: loading snapshots and solving plans, always on the same worker."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from common.messages import Float32
+from common.model.snapshot import Snapshot
+from common.task import Task
+from services.planner.config import PlannerConfig
+from services.planner.mpc import Mpc
+from services.planner.particles import particles
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to plan: from the state (S,) of step k through `committed` (x, A) towards the goal (G,)."""
+
+    plant_boot_id: int
+    episode: int
+    goal_seq: int
+    source_k: int
+    source_t_ns: int
+    first_k: int
+    commit: int
+    steps: int  # of the episode
+    state: Float32
+    goal: Float32
+    committed: Float32
+    noise: Float32  # (steps, A), added to the plan's actions; zero unless the episode explores
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Actions (T, A) for steps first_k, first_k + 1, ..., and the state expected at `predicted_k`."""
+
+    request: Request
+    actions: Float32
+    predicted_k: int
+    predicted_state: Float32
+    predicted_std: Float32
+    score: float
+    valid: bool  # False: every candidate diverged
+    snapshot_id: str
+
+
+class Solver:
+    """Owns the Mpc and its model. Its methods run as jobs, one at a time, so that nothing needs a lock."""
+
+    def __init__(self, config: PlannerConfig, task: Task, seed: int) -> None:
+        torch.set_num_threads(config.threads)
+        self._config = config
+        self._task = task
+        self._seed = seed
+        self._mpc = Mpc(config, task)
+        self._snapshot_id = ""
+        self._episode = (0, 0)
+
+    def load(self, payload: bytes) -> str:
+        """Plan with this snapshot from now on; returns its id. Raises SnapshotRefused or ValueError."""
+        snapshot = Snapshot.from_bytes(payload)
+        task = self._task
+        quaternions = [group.slice for group in task.groups if group.kind == "quaternion"]
+        dynamics = snapshot.dynamics(task.name, task.state_dim, task.action_dim, quaternions)
+        pool = snapshot.masks if snapshot.meta.model.dropout > 0 else None
+        config = self._config
+        sampled = config.propagation == "sampled"
+        model = particles(dynamics, pool, config.members, config.masks, sampled=sampled, device=config.device)
+        self._mpc.set_model(model)
+        self._snapshot_id = snapshot.id
+        return snapshot.id
+
+    def solve(self, request: Request) -> Solution:
+        """Make one plan; the same request, model and history give the same plan on every machine."""
+        if (request.plant_boot_id, request.episode) != self._episode:
+            self._episode = (request.plant_boot_id, request.episode)
+            self._mpc.reset()
+        device = self._config.device
+        plan = self._mpc.plan(
+            torch.from_numpy(request.state.copy()).to(device),
+            torch.from_numpy(request.goal.copy()).to(device),
+            torch.from_numpy(request.committed.copy()).to(device),
+            request.steps - request.source_k,
+            self._generator(request),
+        )
+        ahead = len(request.committed)
+        expected = min(ahead + request.commit, len(plan.predicted_mean)) - 1
+        return Solution(
+            request=request,
+            actions=self._explored(plan.actions.cpu().numpy(), request),
+            predicted_k=request.source_k + expected + 1,
+            predicted_state=plan.predicted_mean[expected].cpu().numpy(),
+            predicted_std=plan.predicted_std[expected].cpu().numpy(),
+            score=plan.score,
+            valid=plan.valid,
+            snapshot_id=self._snapshot_id,
+        )
+
+    def _generator(self, request: Request) -> torch.Generator:
+        """Seeded by what is planned, not by what was planned before: late plans change no later one."""
+        text = f"{self._seed}/{request.episode}/{request.goal_seq}/{request.first_k}"
+        digest = hashlib.sha256(text.encode()).digest()
+        seed = int.from_bytes(digest[:8], "little") >> 1
+        return torch.Generator(self._config.device).manual_seed(seed)
+
+    def _explored(self, actions: Float32, request: Request) -> Float32:
+        noise = request.noise[request.first_k : request.first_k + len(actions)]
+        actions = actions.copy()
+        actions[: len(noise)] += noise
+        return np.clip(actions, -1.0, 1.0)
+
+
+def held_noise(seed: int, episode: int, steps: int, action_dim: int, std: float, redraw: float) -> Float32:
+    """Exploration noise (steps, A): a joint keeps its offset until redrawn, with chance `redraw` a step."""
+    generator = np.random.default_rng((seed, episode, 7))
+    noise = np.zeros((steps, action_dim), np.float32)
+    current = generator.normal(0.0, std, action_dim)
+    for row in noise:
+        drawn = generator.normal(0.0, std, action_dim)
+        current = np.where(generator.random(action_dim) < redraw, drawn, current)
+        row[:] = current
+    return noise
