@@ -29,8 +29,8 @@ class Normaliser:
     @staticmethod
     def identity(state_dim: int, action_dim: int) -> Normaliser:
         """The normaliser that changes nothing: means 0, deviations 1."""
-        state, action = (torch.zeros(state_dim), torch.ones(state_dim)), torch.zeros(action_dim)
-        return Normaliser(*state, action, torch.ones(action_dim), *state)
+        widths = (state_dim, action_dim, state_dim)
+        return Normaliser(*(make(width) for width in widths for make in (torch.zeros, torch.ones)))
 
     @staticmethod
     def fit(states: FloatArray, actions: FloatArray, deltas: FloatArray) -> Normaliser:

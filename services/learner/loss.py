@@ -40,7 +40,10 @@ def loss_terms(
     options: LossConfig,
     weights: Tensor | None = None,
 ) -> LossTerms:
-    """The terms of Eq. (4) but for weight decay; `masks` act in step 1 and step 2, `weights` (S,) weigh state dimensions."""
+    """The terms of Eq. (4) but for weight decay.
+
+    `masks` act in step 1 and in step 2; `weights` (S,), default 1, weigh state dimensions.
+    """
     first = dynamics.predict(windows.state, windows.action, masks[0])
     first_target = dynamics.target(windows.state, windows.next_state)
     first_step = nll(first, first_target, options.beta_nll, weights)
@@ -92,11 +95,11 @@ def variance_penalty(
 def weight_decay(ensemble: Ensemble, decay: Sequence[float], biases: bool) -> float:
     """Sum over layers of lambda_l ||W_l||^2, with the biases counted into W_l or not, Eq. (4), term 4.
 
-    A value to report: `TrainedEnsemble.start_gradient` puts its gradient, 2 lambda_l W_l, in place.
+    A value to report: the optimiser adds its gradient, 2 lambda_l W_l.
     """
     total = 0.0
     for rate, weight, bias in zip(decay, ensemble.weights, ensemble.biases, strict=True):
-        total += rate * float(weight.square().sum())
+        total += rate * float(torch.dot(weight.flatten(), weight.flatten()))
         if biases:
             total += rate * float(bias.square().sum())
     return total

@@ -9,13 +9,14 @@ import json
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
 from common.model.config import ModelConfig
 from common.model.dynamics import Dynamics
+from common.model.ensemble import Ensemble
 from common.model.masks import MaskPool, Masks
 from common.model.normaliser import Normaliser
 from common.model.sealed import SealError, seal, unseal
@@ -81,7 +82,7 @@ class Trainer:
         self._ensemble = TrainedEnsemble.like(fresh.ensemble)
         self.dynamics = replace(fresh, ensemble=self._ensemble).to(device)
         self._weights = _dimension_weights(config.loss.group_weights, layout, device)
-        self._optimiser = torch.optim.Adam(self._parameters, lr=config.learning_rate, fused=True)
+        self._optimiser = _adam(self._ensemble, config)
 
     def begin(self, replay: Replay, updates: int) -> None:
         """Open an update of `updates` gradient steps on what `replay` now holds, and refit the normaliser.
@@ -180,11 +181,12 @@ class Trainer:
         windows = self._windows(replay)
         masks = (self._pick_masks(), self._pick_masks())
         terms = loss_terms(self.dynamics, windows, masks, self.config.loss, self._weights)
-        self._ensemble.start_gradient(self.config.loss.decay, self.config.loss.decay_biases)
+        self._ensemble.start_gradient()
         terms.total.backward()
         norm = self._clip()
         if math.isfinite(norm):
-            self._optimiser.param_groups[0]["lr"] = rate
+            for group in self._optimiser.param_groups:
+                group["lr"] = rate
             self._optimiser.step()
         self.updates += 1
         self.remaining -= 1
@@ -244,6 +246,19 @@ class Trainer:
             },
             sort_keys=True,
         )
+
+
+def _adam(ensemble: Ensemble, config: LearnerConfig) -> torch.optim.Adam:
+    """Adam that adds 2 lambda_l W_l, the gradient of Eq. (4), term 4, to what backward left.
+
+    So clipping does not see it; it is thousands of times smaller than the norm at which clipping begins.
+    """
+    free = [ensemble.max_log_var, ensemble.min_log_var]
+    groups: list[dict[str, Any]] = [{"params": free}]
+    for rate, weight, bias in zip(config.loss.decay, ensemble.weights, ensemble.biases, strict=True):
+        groups.append({"params": [weight], "weight_decay": 2 * rate})
+        groups.append({"params": [bias], "weight_decay": 2 * rate if config.loss.decay_biases else 0.0})
+    return torch.optim.Adam(groups, lr=config.learning_rate, fused=True)
 
 
 def _dimension_weights(weights: dict[str, float], layout: StateLayout, device: str) -> Tensor | None:

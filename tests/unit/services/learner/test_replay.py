@@ -1,0 +1,113 @@
+"""Windows and runs never cross episodes nor touch invalid states; splits are by whole episodes."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.learner.episode import Episode
+from services.learner.replay import Replay, is_held_out
+
+
+def marked_episode(number, valid):
+    """states[t] = (number, t), actions[t] = number + t / 1000: a row says where it comes from."""
+    count = len(valid)
+    states = np.stack((np.full(count, number), np.arange(count)), axis=1).astype(np.float32)
+    actions = (number + np.arange(count - 1) / 1000)[:, None].astype(np.float32)
+    return Episode(1, number, "random", states, actions, np.zeros(1, "f4"), np.array(valid, bool))
+
+
+episodes = st.lists(st.lists(st.booleans(), min_size=1, max_size=12), min_size=1, max_size=8)
+
+
+def filled(flags, holdout=0.0):
+    replay = Replay(2, 1, holdout)
+    for number, valid in enumerate(flags):
+        replay.add(marked_episode(number, valid))
+    return replay
+
+
+@settings(max_examples=80, deadline=None)
+@given(episodes)
+def test_windows_are_exactly_the_valid_triples(flags):
+    replay = filled(flags)
+    expected = {
+        (number, t)
+        for number, valid in enumerate(flags)
+        for t in range(len(valid) - 2)
+        if valid[t] and valid[t + 1] and valid[t + 2]
+    }
+    assert replay.windows() == len(expected)
+    if not expected:
+        return
+    windows = replay.sample(2, 200, torch.Generator().manual_seed(0))
+    for offset, states in enumerate((windows.state, windows.next_state, windows.last_state)):
+        assert torch.equal(states[..., 0], windows.state[..., 0])
+        assert torch.equal(states[..., 1], windows.state[..., 1] + offset)
+    for offset, actions in enumerate((windows.action, windows.next_action)):
+        torch.testing.assert_close(
+            actions[..., 0], windows.state[..., 0] + (windows.state[..., 1] + offset) / 1000
+        )
+    found = {(int(n), int(t)) for n, t in windows.state.flatten(0, 1).tolist()}
+    assert found <= expected
+    assert len(expected) > 20 or found == expected
+
+
+@settings(max_examples=50, deadline=None)
+@given(episodes, st.integers(1, 5))
+def test_runs_are_contiguous_and_valid(flags, steps):
+    runs = filled(flags).trajectories(steps, "train")
+    for states, actions in zip(runs.states, runs.actions, strict=True):
+        number, first = int(states[0, 0]), int(states[0, 1])
+        assert states[:, 0].tolist() == [number] * (steps + 1)
+        assert states[:, 1].tolist() == list(range(first, first + steps + 1))
+        assert all(flags[number][first : first + steps + 1])
+        assert len(actions) == steps
+
+
+def test_members_draw_different_batches_and_a_seed_repeats_them():
+    replay = filled([[True] * 50] * 10)
+    first = replay.sample(3, 64, torch.Generator().manual_seed(0))
+    again = replay.sample(3, 64, torch.Generator().manual_seed(0))
+    assert all(torch.equal(a, b) for a, b in zip(first, again, strict=True))
+    assert not torch.equal(first.state[0], first.state[1])
+
+
+def test_recent_share_comes_from_the_newest_episodes():
+    replay = filled([[True] * 50] * 10)
+    windows = replay.sample(2, 100, torch.Generator().manual_seed(0), 0.5, 3)
+    assert windows.state[:, 50:, 0].min() == 7
+    assert windows.state[:, :50, 0].min() == 0
+
+
+def test_held_out_episodes_are_never_drawn_and_their_share_is_kept():
+    replay = filled([[True] * 5] * 200, holdout=0.1)
+    held = {number for number in range(200) if is_held_out(number, 0.1)}
+    assert 18 <= len(held) <= 22
+    assert {number % 2 for number in held} == {0, 1}
+    drawn = replay.sample(1, 5000, torch.Generator().manual_seed(0)).state[0, :, 0]
+    assert set(drawn.int().tolist()) == set(range(200)) - held
+    assert set(replay.trajectories(2, "holdout").states[:, 0, 0].int().tolist()) == held
+    assert replay.episodes == {"train": 200 - len(held), "holdout": len(held)}
+
+
+def test_the_split_depends_on_the_episode_alone():
+    assert [is_held_out(number, 0.0) for number in range(50)] == [False] * 50
+    assert all(is_held_out(number, 0.3) for number in range(50) if is_held_out(number, 0.1))
+
+
+def test_rows_survive_growth_and_are_float32():
+    replay = filled([[True] * 500] * 6)
+    assert replay.steps == 6 * 499
+    windows = replay.sample(1, 1000, torch.Generator().manual_seed(0))
+    assert windows.state.dtype == torch.float32
+    assert set(windows.state[0, :, 0].int().tolist()) == set(range(6))
+
+
+def test_normaliser_sees_the_valid_training_rows_only():
+    replay = filled([[True, True, False, True], [True] * 4])
+    normaliser = replay.normaliser()
+    assert float(normaliser.state_mean[1]) == pytest.approx((0 + 1 + 3 + 0 + 1 + 2 + 3) / 7)
+    assert float(normaliser.delta_mean[1]) == 1.0
+    assert float(normaliser.delta_std[1]) == 1.0  # constant: counts as 1
