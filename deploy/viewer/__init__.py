@@ -1,0 +1,1 @@
+"""The live dashboard; the only importer of rerun."""

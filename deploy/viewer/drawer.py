@@ -1,0 +1,40 @@
+"""Messages → drawings: the one mapping behind the live dashboard and recordings made from bus logs."""
+
+from __future__ import annotations
+
+from common.messages import Chunk, Episode, Health, Metrics, Sample, Step
+from common.topics import CHUNK, EPISODE, HEALTH, METRICS, STEP, Topic
+from deploy.viewer.control import ControlDrawer
+from deploy.viewer.drawing import Drawing
+from deploy.viewer.others import HealthDrawer, draw_episode, draw_metrics
+from deploy.viewer.steps import StepCounter
+from services.sim.kinematics import SceneKinematics
+
+DRAWN: tuple[Topic, ...] = (EPISODE, CHUNK, METRICS, STEP, HEALTH)
+
+
+class Drawer:
+    """Turns samples, in about the order in which they were sent, into drawings."""
+
+    def __init__(self, kinematics: SceneKinematics, period_ns: int, ghost: bool) -> None:
+        self._task = kinematics.task
+        self._steps = StepCounter()
+        self._control = ControlDrawer(kinematics, self._steps, period_ns, ghost)
+        self._health = HealthDrawer()
+
+    def draw(self, sample: Sample) -> list[Drawing]:
+        """What a sample shows; nothing for messages that are not drawn."""
+        now = self._steps.now(sample.header.t_ns)
+        match sample.message:
+            case Step() as step:
+                return self._control.step(sample.header, step)
+            case Chunk() as chunk:
+                return self._control.chunk(sample.header, chunk)
+            case Episode() as episode:
+                return list(draw_episode(episode, now))
+            case Metrics() as metrics:
+                return list(draw_metrics(self._task, metrics, now))
+            case Health() as health:
+                return list(self._health.draw(health, now))
+            case _:
+                return []
