@@ -1,0 +1,103 @@
+"""The compared methods: named differences from a cell, and the configuration that a run ends up with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from common.config import ConfigError, parse, read_yaml, with_overrides
+from deploy.cell import Cell, find_cell
+
+
+@dataclass(frozen=True)
+class Method:
+    """What is different from the cell, as `--set` writes it."""
+
+    about: str
+    overrides: tuple[str, ...] = ()
+
+
+# PETS and DPETS keep the cell's networks, warm-up and search budget, so that what differs is the method. Both
+# plan synchronously, as published: in lock-step the plant stands still meanwhile, which favours them.
+METHODS: Mapping[str, Method] = MappingProxyType(
+    {
+        "gc_pmpc": Method("the cell as it is"),
+        "gc_pmpc_paper": Method(
+            "the paper's values throughout, none of the cell's",
+            (
+                "planner={preset: paper}",
+                "learner={}",
+                "model={}",
+                "curriculum.warmup=uniform",
+                "control.start=zero",
+                "control.chunk=x",
+            ),
+        ),
+        "dpets": Method(
+            "no normalisation, no variance penalty, no smoothing, synchronous",
+            (
+                "model.normalise=false",
+                "model.targets=raw",
+                "learner.loss.variance_penalty=0",
+                "planner.smooth_weight=0",
+                "control.synchronous=true",
+            ),
+        ),
+        "pets": Method(
+            "one-step likelihood, no Dropout, sampled particles, no gradients through the model, synchronous",
+            (
+                "model.dropout=0",
+                "learner.loss.second_step=false",
+                "learner.loss.variance_penalty=0",
+                "planner.masks=1",
+                "planner.propagation=sampled",
+                "planner.refine_sequences=0",
+                "planner.refine_steps=0",
+                "planner.smooth_weight=0",
+                "control.synchronous=true",
+            ),
+        ),
+        "no_normalisation": Method(
+            "raw inputs and targets (Eq. 3 without BN)", ("model.normalise=false", "model.targets=raw")
+        ),
+        "no_penalty": Method("Eq. (4) without term 3", ("learner.loss.variance_penalty=0",)),
+        "one_step": Method("Eq. (4) without term 2", ("learner.loss.second_step=false",)),
+        "no_smoothing": Method("Eq. (5) without the smoothing term", ("planner.smooth_weight=0",)),
+        "printed_smoothing": Method("Eq. (5) with the printed sign", ("planner.smooth_sign=printed",)),
+        "no_dropout": Method("no Dropout particles", ("model.dropout=0", "planner.masks=1")),
+        "synchronous": Method("textbook MPC: the plant waits for each plan", ("control.synchronous=true",)),
+        "x4": Method(
+            "x = 4: a plan takes nearly four control steps",
+            ("control.steps_per_plan=4", "planner.declared_solve_ms=150"),
+        ),
+        "average": Method(
+            "particles averaged at each step (Eq. 1 as printed)", ("planner.propagation=average",)
+        ),
+    }
+)
+
+
+def configure(cell: str, method: str, overrides: Iterable[str], run_dir: Path) -> Cell:
+    """Return the configuration of a run: the cell, the method's differences, then `overrides`.
+
+    Raises ConfigError listing every mistake.
+    """
+    if method not in METHODS:
+        raise ConfigError([f"{method}: no such method; choose one of {', '.join(METHODS)}"])
+    path = find_cell(cell)
+    data = with_overrides(read_yaml(path), (*METHODS[method].overrides, *overrides))
+    return cell_of(data, path.name, run_dir)
+
+
+def cell_of(data: dict[str, Any], source: str, run_dir: Path) -> Cell:
+    """Check a configuration for lock-step, where alone control may be synchronous. Raises ConfigError."""
+    control = data.get("control")
+    control = dict(control) if isinstance(control, dict) else {}
+    synchronous = bool(control.pop("synchronous", False))
+    cell = parse(Cell, {**data, "control": control, "config_hash": ""}, source)
+    changed = {"control": cell.control.model_copy(update={"synchronous": synchronous}), "run_dir": run_dir}
+    cell = cell.model_copy(update=changed)
+    return cell.model_copy(update={"config_hash": cell.hash()})
