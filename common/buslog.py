@@ -17,6 +17,7 @@ import msgpack
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 
 MAX_ENTRY_BYTES = 512 * 1024 * 1024
+_END_OF_TIME_NS = 2**63
 KINDS = ("in", "result", "step", "out")
 
 
@@ -146,6 +147,6 @@ def log_files(directory: Path, name: str = "*") -> list[Path]:
 
 
 def _first_ns(path: Path) -> int:
-    """Time of the first entry, since boot ids in the names are random; an empty file counts as oldest."""
+    """Time of the first entry, for boot ids in the names are random; a file still empty comes last."""
     first = next(read_log(path), None)
-    return first.t_ns if first else 0
+    return first.t_ns if first else _END_OF_TIME_NS

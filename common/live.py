@@ -1,13 +1,14 @@
-"""The live runner: one service, a real bus, the wall clock, and a worker thread for long work."""
+"""The live runner: one service, a real bus, the wall clock, and a worker thread per lane of long work."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections import deque
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from queue import SimpleQueue
 
 import numpy as np
 
@@ -31,7 +32,7 @@ class LiveRunner:
         self._clock = clock
         self._config_hash = config_hash
         self._version = _version()
-        self._worker = ThreadPoolExecutor(1, thread_name_prefix="job")
+        self._workers: dict[str, _Worker] = {}  # by lane
         self._loop_ms: deque[float] = deque(maxlen=LOOP_WINDOW)
         self._ticks = 0
         self._overruns = 0
@@ -77,7 +78,9 @@ class LiveRunner:
         self._loop_ms.append((self._clock.now_ns() - now) / 1e6)
 
     def _start_job(self, job: Job) -> None:
-        self._worker.submit(self._work, job)
+        if job.lane not in self._workers:
+            self._workers[job.lane] = _Worker(self._work, f"job {job.lane}")
+        self._workers[job.lane].submit(job)
 
     def _work(self, job: Job) -> None:
         begin = self._clock.now_ns()
@@ -107,9 +110,32 @@ class LiveRunner:
         return Publish(HEALTH, health, suffix=self._dispatcher.service.name)
 
     def _close(self) -> None:
-        # A job in progress is not waited for: what it would have saved is made again after a restart.
-        self._worker.shutdown(wait=False, cancel_futures=True)
+        for worker in self._workers.values():
+            worker.close()
         self._dispatcher.close(self._clock.now_ns())
+
+
+class _Worker:
+    """One thread that does jobs in their order; an executor's futures would cost a plan 0.1 ms of delay."""
+
+    def __init__(self, work: Callable[[Job], None], name: str) -> None:
+        self._work = work
+        self._jobs: SimpleQueue[Job | None] = SimpleQueue()
+        self._closing = False
+        # A job in progress is not waited for: what it would have saved is made again after a restart.
+        threading.Thread(target=self._run, name=name, daemon=True).start()
+
+    def submit(self, job: Job) -> None:
+        self._jobs.put(job)
+
+    def close(self) -> None:
+        """Do none of the jobs that still wait."""
+        self._closing = True
+        self._jobs.put(None)
+
+    def _run(self) -> None:
+        while (job := self._jobs.get()) is not None and not self._closing:
+            self._work(job)
 
 
 def _version() -> str:

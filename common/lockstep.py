@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -26,7 +27,7 @@ class _Finished:
 class _Member:
     dispatcher: Dispatcher
     ticker: Ticker | None
-    job_free_ns: int = 0  # jobs of a service run one after the other
+    lane_free_ns: dict[str, int] = field(default_factory=lambda: defaultdict[str, int](int))
 
 
 class Lockstep:
@@ -78,11 +79,11 @@ class Lockstep:
 
     def _start(self, member: _Member, job: Job) -> None:
         value, error = run_job(job)
-        begin = max(self.clock.time_ns, member.job_free_ns)
-        member.job_free_ns = begin + job.latency_ns
+        end = max(self.clock.time_ns, member.lane_free_ns[job.lane]) + job.latency_ns
+        member.lane_free_ns[job.lane] = end
         self._order += 1
         result = JobResult(job.name, value, error, job.latency_ns)
-        heapq.heappush(self._finished, _Finished(member.job_free_ns, self._order, member.dispatcher, result))
+        heapq.heappush(self._finished, _Finished(end, self._order, member.dispatcher, result))
 
     def close(self) -> None:
         """Let every service save and close."""

@@ -34,7 +34,7 @@ class Dispatcher:
         self._codec = codec
         self._bus = bus
         self._ports = ports
-        self._log = log or NoLog()
+        self._log = NoLog() if log is None else log
         self._seq: Counter[str] = Counter()
         self._now_ns = 0
         self.unsendable = 0

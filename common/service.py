@@ -26,14 +26,15 @@ class Publish:
 class Job:
     """Long work. Live it runs in a worker, in lock-step at once; its result arrives in `inbox.results`.
 
-    `latency_ns` is the declared duration, used in lock-step only. One job of a service runs at a time;
-    others queue behind it.
+    `latency_ns` is the declared duration, used in lock-step only. Jobs of one lane run one at a time, in the
+    order given; those of different lanes run beside each other and must not share what they change.
     """
 
     name: str
     function: Callable[..., object]
     arguments: tuple[Any, ...] = ()
     latency_ns: int = 0
+    lane: str = "main"
 
 
 @dataclass(frozen=True)

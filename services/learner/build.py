@@ -8,6 +8,7 @@ from common.built import Built
 from common.cell import SharedConfig
 from common.model.config import ModelConfig
 from common.task import get_task
+from services.learner.backprop import keep_freed_memory
 from services.learner.config import LearnerConfig
 from services.learner.dataset import EpisodeStore
 from services.learner.service import LearnerService
@@ -25,6 +26,7 @@ class LearnerProcess(SharedConfig):
 def build(config: LearnerProcess, boot_id: int) -> Built:
     """Make the service and the worker that holds replay and trainer."""
     torch.set_num_threads(config.learner.threads)
+    keep_freed_memory()
     task = get_task(config.task)
     directory = config.run_dir / "learner"
     store = EpisodeStore(directory / "episodes", task.state_dim, task.action_dim, config.learner.holdout)

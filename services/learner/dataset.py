@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from common.storage import sweep_partial, write_atomically
 from services.learner.episode import Episode, EpisodeRefused, check, from_bytes, to_bytes
 from services.learner.replay import Replay
-from services.learner.storage import sweep_partial, write_atomically
 
 
 class EpisodeStore:
@@ -20,7 +20,7 @@ class EpisodeStore:
         self.replay = Replay(state_dim, action_dim, holdout)
         self.corrupt: list[str] = []
         self._directory = directory
-        self._keys: set[tuple[int, int]] = set()
+        self._keys: dict[tuple[int, int], None] = {}  # in order of arrival
         self._next = 0
         directory.mkdir(parents=True, exist_ok=True)
         self.leftovers = sweep_partial(directory)
@@ -32,6 +32,10 @@ class EpisodeStore:
 
     def __contains__(self, key: tuple[int, int]) -> bool:
         return key in self._keys
+
+    def newest(self, count: int) -> list[tuple[int, int]]:
+        """The (boot id, episode) of the `count` episodes that arrived last, oldest first."""
+        return list(self._keys)[-count:]
 
     @property
     def newest_episode(self) -> int:
@@ -65,5 +69,5 @@ class EpisodeStore:
             self._remember(episode)
 
     def _remember(self, episode: Episode) -> None:
-        self._keys.add(episode.key)
+        self._keys[episode.key] = None
         self.replay.add(episode)

@@ -32,6 +32,7 @@ class LearnerService:
         self._trained_once = worker.resumed
         self._owed = worker.untrained_episodes * config.updates_per_episode if worker.resumed else 0
         self._announce = worker.resumed  # a restarted learner tells at once what it knows
+        self._reacknowledge = True  # its last acknowledgements may have died with it
         self._training = False
         self._update = 0  # gradient steps of the update under way
         self._failed = 0  # and of one that failed, which the next episode tries again
@@ -43,7 +44,7 @@ class LearnerService:
 
     def step(self, now_ns: int, inbox: Inbox) -> list[Output]:
         """Record what the plant did, tell what is stored or learned, and go on training."""
-        out: list[Output] = []
+        out: list[Output] = self._repeat_acks() if self._reacknowledge else []
         for result in inbox.results:
             self._take_result(result, out)
         for sample in inbox.take(STEP):
@@ -81,6 +82,11 @@ class LearnerService:
         if self._training:
             return "training"
         return "ready" if self._trained_once else f"collecting: {self._steps}/{self._warmup_steps} steps"
+
+    def _repeat_acks(self) -> list[Output]:
+        self._reacknowledge = False
+        keys = self._worker.newest_keys(ACK.latched)
+        return [Publish(ACK, Ack(*key, self._episodes, self._steps)) for key in keys]
 
     def _take_result(self, result: JobResult, out: list[Output]) -> None:
         if result.name == "store":

@@ -21,13 +21,13 @@ from common.model.masks import MaskPool, Masks
 from common.model.normaliser import Normaliser
 from common.model.sealed import SealError, seal, unseal
 from common.model.snapshot import Snapshot, SnapshotMeta
+from common.storage import write_atomically
 from common.task.layout import Group
 from services.learner.backprop import TrainedEnsemble
 from services.learner.config import LearnerConfig
 from services.learner.evaluation import ModelErrors, evaluate
 from services.learner.loss import LossTerms, loss_terms, weight_decay
 from services.learner.replay import Replay, Split, Windows
-from services.learner.storage import write_atomically
 
 
 class StateLayout(Protocol):

@@ -6,10 +6,10 @@ import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from common.storage import write_atomically
 from services.learner.dataset import EpisodeStore
 from services.learner.episode import Episode
 from services.learner.evaluation import ModelErrors
-from services.learner.storage import write_atomically
 from services.learner.trainer import Trainer, TrainerStateRefused
 
 CHECKPOINT = "checkpoint.safetensors"
@@ -62,6 +62,10 @@ class LearnerWorker:
     def stored(self) -> tuple[int, int]:
         """Episodes and steps on disk."""
         return len(self._store), self._store.replay.steps
+
+    def newest_keys(self, count: int) -> list[tuple[int, int]]:
+        """The (plant boot id, episode) of the episodes that were stored last, oldest first."""
+        return self._store.newest(count)
 
     @property
     def untrained_episodes(self) -> int:

@@ -10,20 +10,26 @@ from pydantic import Field, model_validator
 
 from common.config import Frozen
 
-# `paper` is what the fields below default to.
+# `paper` is what the fields below default to. `fast` was chosen on reach, by score lost against a long
+# refinement of the same problems (12 sequences x 40 steps, return -0.093) and time on a busy core:
+# 64 x 2 + 4 sequences x 5 steps 0.015 in 104 ms; this one 0.018 in 73 ms; iCEM 100 x 3 alone 0.054 in 68 ms.
 PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
         "paper": {},
         "fast": {
             "horizon": 5,
             "masks": 1,
+            "knots": 1,
+            # Tuned for the real hand; on the simulated ones it outweighs the reward of the last centimetre.
+            "smooth_weight": 0.0,
             "search": "icem",
-            "candidates": 64,
+            "candidates": 40,
             "elites": 8,
             "iterations": 2,
-            "knots": 1,
+            "init_std": 0.3,
             "refine_sequences": 4,
-            "refine_steps": 5,
+            "refine_steps": 4,
+            "refine_rate": 0.13,
         },
     }
 )

@@ -14,7 +14,7 @@ def icem(
 ) -> Found:
     """Maximise `score` around `warm_start` (K, A) within [-1, 1]; returns the best candidate seen.
 
-    `kept` (E, K, A), possibly empty, are the last plan's elites, already shifted to this plan's start.
+    `kept` (E, K, A), possibly empty, are the last plan's best, already shifted to this plan's start.
     """
     mean, variance = warm_start, torch.full_like(warm_start, config.init_std**2)
     found = nothing(warm_start)
@@ -73,7 +73,8 @@ def _share(config: PlannerConfig, available: int) -> int:
 
 
 def _better(old: Found, new: Found) -> Found:
-    """The newer elites, with the best candidate ever seen."""
-    if old.valid and old.scores[0] > new.scores[0]:
-        return Found(old.best, new.elites, new.scores, valid=True)
-    return new
+    """The newer elites, led by the best candidate ever seen."""
+    if not old.valid or old.scores[0] <= new.scores[0]:
+        return new
+    elites, scores = torch.cat((old.best[None], new.elites)), torch.cat((old.scores[:1], new.scores))
+    return Found(old.best, elites[:-1], scores[:-1], valid=True)

@@ -36,7 +36,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class _Memory:
-    """What one plan leaves for the next: sequences (1 + E, H, A), the executed one first, then the elites."""
+    """What one plan leaves for the next: sequences (E, H, A), the executed one first."""
 
     goal: Tensor
     start_left: int  # steps from the plan's first action to the episode's end
@@ -134,9 +134,7 @@ class Mpc:
         prefix = self._rollout.prefix(state, committed, generator)
         problem = _Problem(self._rollout, self._objective, knots, prefix[-1], goal, generator)
         found = self._optimise(problem, self._warm(knots, goal, start_left).to(state))
-        self._memory = _Memory(
-            goal.clone(), start_left, knots.expand(torch.cat((found.best[None], found.elites)))
-        )
+        self._memory = _Memory(goal.clone(), start_left, knots.expand(_best_first(found)))
         return _describe(problem, found, prefix)
 
     def _horizon(self, start_left: int) -> int:
@@ -145,7 +143,7 @@ class Mpc:
         return max(1, min(self._config.horizon, start_left))
 
     def _warm(self, knots: Knots, goal: Tensor, start_left: int) -> Tensor:
-        """The last plan's sequences as knots (1 + E, K, A), shifted to this plan's start; else zero."""
+        """The last plan's sequences as knots (E, K, A), shifted to this plan's start; else zero."""
         memory = self._memory
         if memory is None or start_left > memory.start_left or not torch.equal(goal, memory.goal):
             return torch.zeros(1, knots.count, self._action_dim)
@@ -157,7 +155,7 @@ class Mpc:
         found = self._search(problem, warm)
         if not self._config.refines:
             return found
-        start = torch.cat((found.best[None], found.elites))[: self._config.refine_sequences]
+        start = _best_first(found)[: self._config.refine_sequences]
         refined = refine(
             problem.score,
             problem.score_and_gradient,
@@ -172,22 +170,29 @@ class Mpc:
         if config.search == "cem":
             return cem(problem.score, warm[0], config, problem.noise)
         if config.search == "icem":
-            return icem(problem.score, warm[0], warm[1:], config, problem.noise)
+            return icem(problem.score, warm[0], warm, config, problem.noise)
         return self._scatter(warm, problem.noise)
 
     def _scatter(self, warm: Tensor, generator: torch.Generator) -> Found:
-        """Without a search: the warm start, a share of its elites, and draws around it."""
+        """Without a search: the warm start with a share of its elites, and draws around it."""
         config = self._config
-        kept = warm[: 1 + round(config.keep_fraction * (config.refine_sequences - 1))]
+        kept = warm[: max(1, round(config.keep_fraction * config.refine_sequences))]
         fresh = max(0, config.refine_sequences - len(kept))
         white = torch.randn((fresh, *warm.shape[1:]), generator=generator, device=generator.device)
         drawn = (warm[0] + config.init_std * white.to(warm)).clamp(LOW, HIGH)
-        return Found(warm[0], torch.cat((kept[1:], drawn)), warm.new_empty(0), valid=False)
+        return Found(warm[0], torch.cat((kept, drawn)), warm.new_empty(0), valid=False)
 
 
 def steps_per_plan(rate_hz: float, solve_s: float) -> int:
     """x = ⌈ν_system / ν_MPC⌉ (Sec. III-B): steps that the plant takes while a plan is made, at least 1."""
     return max(1, math.ceil(rate_hz * solve_s))
+
+
+def _best_first(found: Found) -> Tensor:
+    """The answer and the elites (E, K, A); CEM's answer, a mean, is none of its elites."""
+    if len(found.elites) > 0 and torch.equal(found.elites[0], found.best):
+        return found.elites
+    return torch.cat((found.best[None], found.elites))
 
 
 def _describe(problem: _Problem, found: Found, prefix: Tensor) -> Plan:

@@ -16,9 +16,11 @@ from common.task import Task
 from common.topics import CHUNK, SNAPSHOT, STEP
 from services.planner.config import PlannerConfig
 from services.planner.mpc import steps_per_plan
-from services.planner.solver import Request, Solution, Solver, held_noise
+from services.planner.solver import Prepared, Request, Solution, Solver, held_noise
 
 SOLVE_WINDOW = 200
+RETRY_NS = 500_000_000  # after a plan that failed
+DIVERGED_SCORE = -1e30  # stands for the -inf of a plan of which every candidate diverged
 AUTO_QUANTILE = 0.95  # x = auto is set by the solve time that 95 % of the plans stay below
 
 
@@ -39,7 +41,7 @@ class PlannerService:
         Input(STEP, newest=True, wake=True),
         Input(SNAPSHOT, newest=True, wake=True),
     )
-    period_ns: int | None = None
+    period_ns: int | None = RETRY_NS
 
     def __init__(
         self, config: SharedConfig, planner: PlannerConfig, task: Task, solver: Solver, boot_id: int
@@ -53,11 +55,14 @@ class PlannerService:
         self._mirror = ActionBuffer(task.action_dim, 0, config.control.hold_steps)
         self._progress = _Progress((0, 0, 0))
         self._solving: Request | None = None
+        self._model: Prepared | None = None
+        self._unloaded: SnapshotMessage | None = None  # the newest; waits while an older one is prepared
         self._loading = False
-        self._snapshot_id = ""
         self._sent = 0
+        self._not_before_ns = 0
         self._latency_ns = round(planner.declared_solve_ms * 1e6)
         self._solve_ms: deque[float] = deque(maxlen=SOLVE_WINDOW)
+        self._wait_ms: deque[float] = deque(maxlen=SOLVE_WINDOW)
         self._counts: Counter[str] = Counter()
         self._last_error = ""
 
@@ -65,12 +70,14 @@ class PlannerService:
         """Publish what is solved, load what has arrived, and plan from the newest state if it is time to."""
         out: list[Output] = []
         for result in inbox.results:
-            self._take_result(result, out)
-        for sample in inbox.take(SNAPSHOT):
-            self._load(sample.message, out)
+            self._take_result(result, now_ns, out)
         newest = inbox.newest(STEP)
-        if newest is not None:
-            self._consider(newest.header, newest.message, out)
+        rested = now_ns >= self._not_before_ns
+        if newest is not None and rested and self._consider(newest.header, newest.message, out):
+            self._wait_ms.append(inbox.status(STEP, now_ns).age_ns / 1e6)
+        for sample in inbox.take(SNAPSHOT):
+            self._unloaded = sample.message
+        self._load(out)  # last: a plant that stands still must get a plan between two loads
         return out
 
     def stop(self, now_ns: int) -> list[Output]:
@@ -81,6 +88,7 @@ class PlannerService:
         """Plan times over the last plans, counts since the start of the process."""
         p50, p99 = np.percentile(self._solve_ms, (50, 99)) if self._solve_ms else (0.0, 0.0)
         fields = {"plan_ms_p50": float(p50), "plan_ms_p99": float(p99), "x": float(self._x())}
+        fields["plan_wait_ms_max"] = max(self._wait_ms, default=0.0)  # of a step, until planned from
         fields |= {key: float(self._counts[key]) for key in ("plans", "snapshots", "refused_snapshots")}
         fields |= {key: float(self._counts[key]) for key in ("diverged_plans", "failed_plans", "stale_plans")}
         return Report(self._state(), fields)
@@ -88,7 +96,7 @@ class PlannerService:
     def _state(self) -> str:
         if self._last_error:
             return self._last_error
-        if not self._snapshot_id:
+        if self._model is None:
             return "waiting for a model"
         return "planning" if self._solving else "ready"
 
@@ -101,7 +109,7 @@ class PlannerService:
 
     # --- results ---------------------------------------------------------------------------------
 
-    def _take_result(self, result: JobResult, out: list[Output]) -> None:
+    def _take_result(self, result: JobResult, now_ns: int, out: list[Output]) -> None:
         if result.name == "load":
             self._loading = False
             self._take_model(result)
@@ -111,22 +119,27 @@ class PlannerService:
             self._counts["failed_plans"] += 1
             self._last_error = f"plan failed: {result.error}"
             self._progress.planned_from = -1  # a plant that stands waiting sends nothing that would ask again
+            self._not_before_ns = now_ns + RETRY_NS
         elif isinstance(result.value, Solution) and request is not None:
             self._last_error = ""
             self._publish(result.value, result.duration_ns / 1e6, out)
 
     def _take_model(self, result: JobResult) -> None:
-        if result.error:
+        if not isinstance(result.value, Prepared):
             self._counts["refused_snapshots"] += 1
             self._last_error = f"snapshot refused: {result.error}"
             return
         self._counts["snapshots"] += 1
-        self._snapshot_id = str(result.value)
+        self._model = result.value
         self._last_error = ""
 
-    def _load(self, message: SnapshotMessage, out: list[Output]) -> None:
+    def _load(self, out: list[Output]) -> None:
+        """Prepare the newest snapshot beside planning; the plans after that are made with it."""
+        if self._unloaded is None or self._loading:
+            return
         self._loading = True
-        out.append(Job("load", self._solver.load, (message.payload,)))
+        out.append(Job("load", self._solver.prepare, (self._unloaded.payload,), lane="load"))
+        self._unloaded = None
 
     def _publish(self, solution: Solution, solve_ms: float, out: list[Output]) -> None:
         """Send the chunk unless the goal it was made for is gone."""
@@ -140,7 +153,7 @@ class PlannerService:
         chunk = self._chunk(solution, solve_ms)
         self._mirror.offer(chunk, self._sent, request.source_k)
         self._sent += 1
-        out.append(Publish(CHUNK, chunk))
+        out.append(Publish(CHUNK, chunk, valid=solution.valid))
 
     def _chunk(self, solution: Solution, solve_ms: float) -> Chunk:
         request = solution.request
@@ -157,24 +170,28 @@ class PlannerService:
             predicted_k=solution.predicted_k,
             predicted_state=solution.predicted_state,
             predicted_std=solution.predicted_std,
-            score=solution.score,
+            score=max(solution.score, DIVERGED_SCORE),
             snapshot_id=solution.snapshot_id,
             solve_ms=solve_ms,
         )
 
     # --- requests --------------------------------------------------------------------------------
 
-    def _consider(self, header: Header, step: Step, out: list[Output]) -> None:
+    def _consider(self, header: Header, step: Step, out: list[Output]) -> bool:
+        """Begin a plan from this step if it is time to; tell whether one was begun."""
         if step.mode not in (Mode.PLAN, Mode.EVALUATE) or step.last:
-            return
+            return False
         self._follow(header, step)
-        if self._solving or self._loading or not self._snapshot_id:
-            return
+        outdated = step.waiting and self._loading  # a plant that stands still can wait for the newest model
+        if self._solving or self._model is None or outdated:
+            return False
         request = self._request(header, step)
-        if request is not None:
-            self._solving = request
-            self._progress.planned_from = request.first_k
-            out.append(Job("plan", self._solver.solve, (request,), self._latency_ns))
+        if request is None:
+            return False
+        self._solving = request
+        self._progress.planned_from = request.first_k
+        out.append(Job("plan", self._solver.solve, (request, self._model), self._latency_ns))
+        return True
 
     def _follow(self, header: Header, step: Step) -> None:
         """Keep the mirror of the plant's buffer in step with what the plant says that it executed."""
@@ -219,6 +236,11 @@ class PlannerService:
             explores = step.mode is Mode.PLAN and config.explore_std > 0
             std = config.explore_std if explores and step.episode % config.explore_every == 0 else 0.0
             self._progress.noise = held_noise(
-                self._seed, step.episode, step.steps, self._task.action_dim, std, config.explore_redraw
+                self._seed,
+                step.episode,
+                step.steps,
+                self._task.action_dim,
+                std=std,
+                redraw=config.explore_redraw,
             )
         return self._progress.noise

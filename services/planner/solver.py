@@ -1,4 +1,4 @@
-"""The planner's long work: loading snapshots and solving plans, always on the same worker."""
+"""The planner's long work: preparing snapshots, and solving plans beside it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from common.model.snapshot import Snapshot
 from common.task import Task
 from services.planner.config import PlannerConfig
 from services.planner.mpc import Mpc
-from services.planner.particles import particles
+from services.planner.particles import Particles, particles
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,16 @@ class Solution:
     snapshot_id: str
 
 
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A snapshot's networks, laid out for planning; nothing changes it any more."""
+
+    snapshot_id: str
+    particles: Particles
+
+
 class Solver:
-    """Owns the Mpc and its model. Its methods run as jobs, one at a time, so that nothing needs a lock."""
+    """Owns the Mpc. `prepare` changes nothing, so that it may run beside `solve`, on another worker."""
 
     def __init__(self, config: PlannerConfig, task: Task, seed: int) -> None:
         torch.set_num_threads(config.threads)
@@ -57,11 +65,11 @@ class Solver:
         self._task = task
         self._seed = seed
         self._mpc = Mpc(config, task)
-        self._snapshot_id = ""
+        self._prepared: Prepared | None = None  # what the Mpc plans with
         self._episode = (0, 0)
 
-    def load(self, payload: bytes) -> str:
-        """Plan with this snapshot from now on; returns its id. Raises SnapshotRefused or ValueError."""
+    def prepare(self, payload: bytes) -> Prepared:
+        """Check a snapshot and fold it for planning. Raises SnapshotRefused or ValueError."""
         snapshot = Snapshot.from_bytes(payload)
         task = self._task
         quaternions = [group.slice for group in task.groups if group.kind == "quaternion"]
@@ -70,12 +78,16 @@ class Solver:
         config = self._config
         sampled = config.propagation == "sampled"
         model = particles(dynamics, pool, config.members, config.masks, sampled=sampled, device=config.device)
-        self._mpc.set_model(model)
-        self._snapshot_id = snapshot.id
-        return snapshot.id
+        if config.refines:
+            for layer in model.network.layers:
+                _ = layer.transposed  # made here, or the first plan would take longer
+        return Prepared(snapshot.id, model)
 
-    def solve(self, request: Request) -> Solution:
+    def solve(self, request: Request, prepared: Prepared) -> Solution:
         """Make one plan; the same request, model and history give the same plan on every machine."""
+        if prepared is not self._prepared:
+            self._prepared = prepared
+            self._mpc.set_model(prepared.particles)
         if (request.plant_boot_id, request.episode) != self._episode:
             self._episode = (request.plant_boot_id, request.episode)
             self._mpc.reset()
@@ -97,7 +109,7 @@ class Solver:
             predicted_std=plan.predicted_std[expected].cpu().numpy(),
             score=plan.score,
             valid=plan.valid,
-            snapshot_id=self._snapshot_id,
+            snapshot_id=prepared.snapshot_id,
         )
 
     def _generator(self, request: Request) -> torch.Generator:
@@ -114,7 +126,7 @@ class Solver:
         return np.clip(actions, -1.0, 1.0)
 
 
-def held_noise(seed: int, episode: int, steps: int, action_dim: int, std: float, redraw: float) -> Float32:
+def held_noise(seed: int, episode: int, steps: int, action_dim: int, *, std: float, redraw: float) -> Float32:
     """Exploration noise (steps, A): a joint keeps its offset until redrawn, with chance `redraw` a step."""
     generator = np.random.default_rng((seed, episode, 7))
     noise = np.zeros((steps, action_dim), np.float32)

@@ -41,6 +41,7 @@ class Phase(StrEnum):
 
 
 _EMPTY: Float32 = np.zeros(0, np.float32)
+ROUND_TRIPS = 16_384  # plans that the reported delays are taken over
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,31 @@ class _Previous:
     @staticmethod
     def none(action_dim: int) -> _Previous:
         return _Previous(Executed(np.zeros(action_dim, np.float32), -1, -1, Fallback.NONE, False))
+
+
+class _RoundTrips:
+    """How long plans took on the plant's own clock, from the step that they start from to their arrival."""
+
+    def __init__(self) -> None:
+        self._ms = np.zeros((2, ROUND_TRIPS), np.float32)  # (age and overhead, newest plans)
+        self._count = 0
+
+    def add(self, age_ms: float, solve_ms: float) -> None:
+        """Note one plan; its overhead is what was not solving: encoding, transport, waiting."""
+        self._ms[:, self._count % ROUND_TRIPS] = age_ms, age_ms - solve_ms
+        self._count += 1
+
+    def fields(self) -> dict[str, float]:
+        """Quantiles in ms, for the heartbeat; none before the first plan."""
+        if not self._count:
+            return {}
+        ordered = np.sort(self._ms[:, : self._count], axis=1)  # a tenth of what np.percentile takes
+        ranks = {"p50": 0.5, "p99": 0.99, "max": 1.0}
+        return {
+            f"{what}_ms_{name}": float(row[round(rank * (len(row) - 1))])
+            for what, row in zip(("plan_age", "overhead"), ordered, strict=True)
+            for name, rank in ranks.items()
+        }
 
 
 class SimService:
@@ -86,6 +112,7 @@ class SimService:
         self._warmup: WarmupActions | None = None
         self._unacknowledged: set[int] = set()
         self._counts: Counter[str] = Counter()
+        self._round_trips = _RoundTrips()
 
     def step(self, now_ns: int, inbox: Inbox) -> list[Output]:
         """Take over frames, episodes and chunks, then move on if it is time to."""
@@ -98,7 +125,7 @@ class SimService:
         for sample in inbox.take(EPISODE):
             self._take_episode(sample.message, out)
         for sample in inbox.take(CHUNK):
-            self._take_chunk(sample)
+            self._take_chunk(sample, now_ns)
         self._advance(inbox.ticks, bool(frames), out)
         return out
 
@@ -123,7 +150,8 @@ class SimService:
             "unacknowledged": len(self._unacknowledged),
             "warmup_steps": self._counts["warmup_steps"],
         }
-        return Report(self._phase.value, {key: float(n) for key, n in (numbers | refused).items()})
+        counted = {key: float(n) for key, n in (numbers | refused).items()}
+        return Report(self._phase.value, counted | self._round_trips.fields())
 
     def _take_frame(self, frame: PlantFrame) -> None:
         self._frame = frame
@@ -177,9 +205,11 @@ class SimService:
             self._frame = replace(self._frame, goal=episode.goal)
         out.append(self._command(goal=episode.goal))
 
-    def _take_chunk(self, sample: Sample) -> None:
+    def _take_chunk(self, sample: Sample, now_ns: int) -> None:
         chunk: Chunk = sample.message
-        self._buffer.offer(chunk, sample.header.seq, self._k, sample.header.boot_id)
+        refused = self._buffer.offer(chunk, sample.header.seq, self._k, sample.header.boot_id)
+        if not refused and chunk.first_k > chunk.source_k:  # made while the plant moved
+            self._round_trips.add((now_ns - chunk.source_t_ns) / 1e6, chunk.solve_ms)
 
     def _advance(self, ticks: int, framed: bool, out: list[Output]) -> None:
         if self._episode is None or self._frame is None:
@@ -205,9 +235,13 @@ class SimService:
         if self._announced < self._k:
             self._announced = self._k
             self._publish_step(out, waiting=True)
-        elif self._buffer.covers(self._k) and (ticks or self._control.synchronous):
+        elif self._planned() and (ticks or self._control.synchronous):
             self._phase = Phase.RUNNING
             self._planned_step(out)
+
+    def _planned(self) -> bool:
+        """Whether the present step may be executed; synchronous control never runs down a tail."""
+        return self._buffer.covers(self._k, committed=self._control.synchronous)
 
     def _planned_step(self, out: list[Output]) -> None:
         self._publish_step(out, waiting=False)
@@ -215,7 +249,7 @@ class SimService:
             return
         self._counts["control_steps"] += 1
         self._execute(self._buffer.take(self._k), out)
-        if self._waits_always() and not self._buffer.covers(self._k, committed=True):
+        if self._waits_always() and not self._planned():
             self._phase = Phase.WAITING
 
     def _execute(self, executed: Executed, out: list[Output]) -> None:
@@ -227,7 +261,8 @@ class SimService:
         """Publish the present step; the last one ends the episode."""
         assert self._episode is not None and self._frame is not None
         last = self._k >= self._episode.steps
-        out.append(Publish(STEP, self._step_message(self._episode, self._frame, waiting, last)))
+        waits = waiting and not last  # nothing is wanted any more
+        out.append(Publish(STEP, self._step_message(self._episode, self._frame, waits, last)))
         if last:
             self._phase = Phase.DONE
             if self._episode.mode is not Mode.EVALUATE:
