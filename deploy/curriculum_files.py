@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from common.config import ConfigError, Frozen
 from deploy.schedule import Progress
 from deploy.scores import Row
-from services.learner.storage import write_atomically
+from common.storage import write_atomically
 
 ROWS_FILE = "episodes.jsonl"
 STATE_FILE = "curriculum.json"

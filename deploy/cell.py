@@ -1,0 +1,214 @@
+"""A cell: one YAML with the sections of all processes, checked as a whole and rendered for each of them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import Field, model_validator
+
+from common.cell import SharedConfig
+from common.config import ConfigError, Frozen, digest, load
+from common.model.config import ModelConfig
+from deploy.curriculum_config import CurriculumConfig
+from deploy.processes import NAMES, PROCESSES, WATCHDOG, process_of
+from deploy.supervisor import REPOSITORY, RunFiles, check_paths
+from deploy.viewer.config import ViewerConfig
+from deploy.watchdog_config import WatchdogConfig
+from services.learner.config import LearnerConfig
+from services.planner.config import PlannerConfig
+from services.sim.config import SimConfig
+
+CELLS_DIR = Path(__file__).parent / "cells"
+ALL_LOCAL = "local"
+ROUTER_PORT = 7447
+# What a run cannot change when it is taken up again: its stored episodes and weights would not fit.
+FIXED = ("task", "seed", "model")
+
+
+class Machine(Frozen):
+    """A computer of the cell and what runs on it."""
+
+    address: str = Field(min_length=1, description="host name or address under which the others reach it")
+    services: tuple[str, ...] = Field(min_length=1, description="names from the process table")
+
+
+class Cell(SharedConfig):
+    """Everything that one hand, its model and its operator need to know."""
+
+    model: ModelConfig = ModelConfig()
+    planner: PlannerConfig = PlannerConfig()
+    learner: LearnerConfig = LearnerConfig()
+    sim: SimConfig = SimConfig()
+    curriculum: CurriculumConfig = CurriculumConfig()
+    viewer: ViewerConfig = ViewerConfig()
+    watchdog: WatchdogConfig = WatchdogConfig()
+    machines: dict[str, Machine] = Field(default={}, description="empty: everything runs on one machine")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in(cls, data: Any) -> Any:
+        """Let values that follow from others default to them."""
+        if not isinstance(data, Mapping):
+            return data
+        task = {"task": data["task"]} if "task" in data else {}
+        filled = {"run_dir": f"runs/{data.get('cell', 'reach')}", **_router_address(data), **data}
+        return {**filled, "sim": {**task, **(data.get("sim") or {})}}
+
+    def hash(self) -> str:
+        """Digest of everything but the place of the results."""
+        return digest(self.model_copy(update={"run_dir": Path(), "config_hash": ""}))
+
+
+def _router_address(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Place the bus at the machine of the router, when the cell names machines but no bus."""
+    for machine in (data.get("machines") or {}).values():
+        if isinstance(machine, Mapping) and "router" in machine.get("services", ()) and "address" in machine:
+            endpoint = f"tcp/{machine['address']}:{ROUTER_PORT}"
+            return {"bus": {"connect": [endpoint], "listen": [endpoint]}}
+    return {}
+
+
+def _method_problems(cell: Cell) -> Iterable[str]:
+    control, planner, model = cell.control, cell.planner, cell.model
+    x = control.steps_per_plan
+    if control.synchronous:
+        yield "control.synchronous: only for lock-step runs; live, the plant does not wait for the planner"
+    if isinstance(x, int) and planner.horizon <= x:
+        yield f"planner.horizon ({planner.horizon}) must exceed control.steps_per_plan ({x})"
+    if planner.members > model.members:
+        yield f"planner.members ({planner.members}) exceed model.members ({model.members})"
+    if planner.masks > model.plan_masks:
+        yield f"planner.masks ({planner.masks}) exceed model.plan_masks ({model.plan_masks})"
+    if len(cell.learner.loss.decay) != len(model.hidden) + 1:
+        yield f"learner.loss.decay: {len(model.hidden) + 1} values wanted, one per layer of model.hidden"
+    if cell.sim.task != cell.task:
+        yield f"sim.task ({cell.sim.task}) differs from task ({cell.task})"
+
+
+def _machine_problems(machines: Mapping[str, Machine]) -> Iterable[str]:
+    counts = Counter(name for machine in machines.values() for name in machine.services)
+    for name in counts:
+        if name not in NAMES:
+            yield f"machines: {name} is no service; choose from {' '.join(NAMES)}"
+        elif counts[name] > 1 and name != WATCHDOG:
+            yield f"machines: {name} runs on {counts[name]} machines; it must be on one"
+    missing = [process.name for process in PROCESSES if process.required and process.name not in counts]
+    if machines and missing:
+        yield f"machines: {' '.join(missing)} runs on no machine"
+    if ALL_LOCAL in machines:
+        yield f"machines: the name {ALL_LOCAL} is taken; it means everything on one machine"
+
+
+def find_cell(text: str) -> Path:
+    """Return the file that `text` names: a path, or a cell that comes with the project."""
+    path = Path(text)
+    if path.is_file() or path.suffix in (".yaml", ".yml"):
+        return path
+    shipped = CELLS_DIR / f"{text}.yaml"
+    if not shipped.is_file():
+        names = " ".join(sorted(file.stem for file in CELLS_DIR.glob("*.yaml")))
+        raise ConfigError([f"{text}: no such cell; give a file, or one of: {names}"])
+    return shipped
+
+
+def load_cell(text: str, overrides: Iterable[str] = ()) -> Cell:
+    """Read a cell and check its parts against each other; a relative run_dir is meant from the repository.
+
+    Raises ConfigError with one line per mistake.
+    """
+    path = find_cell(text)
+    cell = load(Cell, path, overrides)
+    problems = [*_method_problems(cell), *_machine_problems(cell.machines)]
+    if problems:
+        raise ConfigError([f"{path.name}: {problem}" for problem in problems])
+    return cell.model_copy(
+        update={"run_dir": (REPOSITORY / cell.run_dir).resolve(), "config_hash": cell.hash()}
+    )
+
+
+def on_this_machine(cell: Cell) -> Cell:
+    """Return the cell with all services here: its bus keeps its ports but never leaves this machine."""
+    local: dict[str, Any] = {
+        "connect": tuple(map(_loopback, cell.bus.connect)),
+        "listen": tuple(map(_loopback, cell.bus.listen)),
+        "bind": "",
+    }
+    moved = cell.model_copy(update={"machines": {}, "bus": cell.bus.model_copy(update=local)})
+    return moved.model_copy(update={"config_hash": moved.hash()})
+
+
+def _loopback(endpoint: str) -> str:
+    protocol, _, rest = endpoint.partition("/")
+    return (
+        f"{protocol}/127.0.0.1:{rest.rpartition(':')[2]}" if protocol in ("tcp", "udp", "tls") else endpoint
+    )
+
+
+def instances_of(cell: Cell, machine: str) -> tuple[str, ...]:
+    """Name the processes of one machine in order of start. Raises ConfigError for an unknown machine."""
+    if machine == ALL_LOCAL:
+        return NAMES
+    if machine not in cell.machines:
+        known = " ".join(cell.machines) or "none: leave the machine out"
+        raise ConfigError([f"{machine}: no such machine in cell {cell.cell}; its machines: {known}"])
+    services = cell.machines[machine].services
+    return tuple(f"{name}_{machine}" if name == WATCHDOG else name for name in NAMES if name in services)
+
+
+def process_config(cell: Cell, instance: str, machine: str = ALL_LOCAL) -> dict[str, Any]:
+    """Return what the YAML of one process holds: what all share, and its own sections."""
+    names = (*SharedConfig.model_fields, *process_of(instance).sections)
+    data = cell.model_dump(mode="json", include=set(names))
+    data["bus"]["bind"] = _bind(cell, machine)
+    if process_of(instance).name == WATCHDOG:
+        watches = [n for n in instances_of(cell, machine) if process_of(n).watchdog_restarts]
+        own = {"name": instance, "socket": str(RunFiles(cell.run_dir, machine).socket), "watches": watches}
+        data["watchdog"] |= own
+    return data
+
+
+def _bind(cell: Cell, machine: str) -> str:
+    """Dial out from the machine's own address, unless the cell says otherwise."""
+    if machine == ALL_LOCAL or cell.bus.bind:
+        return cell.bus.bind
+    return f"{cell.machines[machine].address}:0"
+
+
+def write_process_configs(cell: Cell, machine: str = ALL_LOCAL) -> RunFiles:
+    """Write the effective cell and one file per process of the machine into the run directory.
+
+    Raises ConfigError when the run directory holds a run that this cell cannot continue.
+    """
+    files = RunFiles(cell.run_dir, machine)
+    check_paths(files)
+    _check_same_run(cell, files)
+    for directory in (files.config_dir, files.log_dir):
+        directory.mkdir(parents=True, exist_ok=True)
+    for instance in instances_of(cell, machine):
+        _write(files.config_of(instance), process_config(cell, instance, machine))
+    _write(files.config_of("cell"), cell.model_dump(mode="json"))
+    return files
+
+
+def _check_same_run(cell: Cell, files: RunFiles) -> None:
+    try:
+        before = yaml.safe_load(files.config_of("cell").read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return
+    now = cell.model_dump(mode="json")
+    changed = [name for name in FIXED if before.get(name) != now[name]]
+    if changed:
+        raise ConfigError(
+            [
+                f"{cell.run_dir}: holds a run with another {' and '.join(changed)}: delete that folder, "
+                "or take another with `--set run_dir=runs/NAME`"
+            ]
+        )
+
+
+def _write(path: Path, data: Mapping[str, Any]) -> None:
+    path.write_text(yaml.safe_dump(dict(data), sort_keys=False), encoding="utf-8")

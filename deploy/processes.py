@@ -1,0 +1,74 @@
+"""THE process table: what runs in a cell, in which order it starts and stops, and who may restart it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Process:
+    """One row: a process is `python -m MODULE --config <run_dir>/config/<name>.yaml`."""
+
+    name: str
+    module: str
+    kind: Literal["bus", "plant", "method", "operator"]
+    stop_wave: int  # all of one wave are stopped together, wave 0 first
+    sections: tuple[str, ...] = ()  # of the cell, beside those that every process has
+    needs: tuple[str, ...] = ("router",)  # started before it
+    heartbeat: bool = True  # publishes health; a process without it shows by what it makes possible
+    start_deadline_s: float = 60.0  # from its start to its first heartbeat, on a busy laptop
+    warm_up_s: int = 10  # a death before this counts as a failed start; the pauses between those grow
+    autorestart: Literal["always", "on_error"] = "always"  # on_error: exit code 0 means finished
+    watchdog_restarts: bool = True  # never a process that moves a real hand: people arm those
+    required: bool = True  # a cell is complete without the others
+
+
+# In order of start.
+PROCESSES: tuple[Process, ...] = (
+    Process(
+        "router",
+        "deploy.router",
+        "bus",
+        stop_wave=3,
+        needs=(),
+        heartbeat=False,
+        start_deadline_s=30.0,
+        warm_up_s=5,
+    ),
+    Process("sim", "services.sim", "plant", stop_wave=1, sections=("sim",)),
+    Process("planner", "services.planner", "method", stop_wave=0, sections=("planner",)),
+    Process("learner", "services.learner", "method", stop_wave=0, sections=("model", "learner")),
+    Process("viewer", "deploy.viewer", "operator", stop_wave=2, sections=("viewer",), required=False),
+    Process(
+        "watchdog",
+        "deploy.watchdog",
+        "operator",
+        stop_wave=0,
+        sections=("watchdog",),
+        watchdog_restarts=False,
+        required=False,
+    ),
+    Process(
+        "curriculum",
+        "deploy.curriculum",
+        "operator",
+        stop_wave=0,
+        sections=("curriculum",),
+        needs=("router", "sim", "planner", "learner"),
+        warm_up_s=0,  # a run that is taken up again may be finished at once
+        autorestart="on_error",
+    ),
+)
+
+NAMES: tuple[str, ...] = tuple(process.name for process in PROCESSES)
+WATCHDOG = "watchdog"
+
+
+def process_of(instance: str) -> Process:
+    """Find the row of an instance: `planner`, or `watchdog_<machine>`. Raises KeyError for an unknown one."""
+    wanted = WATCHDOG if instance.startswith(f"{WATCHDOG}_") else instance
+    for process in PROCESSES:
+        if process.name == wanted:
+            return process
+    raise KeyError(instance)
