@@ -15,6 +15,7 @@ from common.built import Built, codec_for, new_boot_id
 from common.buslog import BusLog, LogSink, NoLog
 from common.cell import SharedConfig
 from common.clock import WallClock
+from common.clock_offset import ClockServer
 from common.config import ConfigError, load
 from common.live import LiveRunner
 from common.runner import Dispatcher
@@ -54,6 +55,7 @@ def _serve(name: str, config: ProcessT, build: Callable[[ProcessT, int], Built])
     except BusError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return 3
+    ClockServer(bus, name)
     dispatcher = Dispatcher(
         built.service, codec_for(config.task), bus, built.ports, _log(name, config, boot_id)
     )
