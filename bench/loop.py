@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
@@ -37,11 +37,11 @@ from common.messages import Episode, Header, Health, Mode, Warmup
 from common.model.config import ModelConfig
 from common.topics import EPISODE, HEALTH
 from common.zenoh_bus import ZenohBus
+from common.zenoh_router import BusError
 from services.learner.build import LearnerProcess
 from services.learner.config import LearnerConfig
 from services.planner.config import PlannerConfig
 from services.sim.build import SimProcess
-from services.sim.config import SimConfig
 from services.sim.service import Phase
 
 ROOT = Path(__file__).parents[1]
@@ -107,8 +107,6 @@ class Cell:
             path = self._run_dir / f"{name}.yaml"
             path.write_text(yaml.safe_dump(config.model_dump(mode="json")), encoding="utf-8")
             self._spawn(name, module, "--config", str(path))
-        self._bus = ZenohBus(self._shared()["bus"], SharedConfig().cell, "bench")
-        self._bus.subscribe(HEALTH, self._take_health)
         self._wait(START_S, "to come up", self._ready)
 
     def _processes(self) -> dict[str, tuple[str, SharedConfig]]:
@@ -116,7 +114,7 @@ class Cell:
         planner = PlannerConfig.model_validate({"preset": "fast"})
         model = ModelConfig(members=SNAPSHOT_MEMBERS)
         configs: dict[str, tuple[str, SharedConfig]] = {
-            "sim": ("services.sim", SimProcess(**shared, sim=SimConfig(task=shared["task"]))),
+            "sim": ("services.sim", SimProcess(**shared)),
             "planner": (
                 "bench.loop_planner",
                 LoopPlannerProcess(**shared, planner=planner, solve_ms=settings.solve_ms),
@@ -165,7 +163,20 @@ class Cell:
         """Return the last heartbeat of a service."""
         return self._health[service]
 
+    def _connected(self) -> bool:
+        """Join the bus if it is there; a short try, for the router may have failed."""
+        if self._bus is None:
+            config = BusConfig(connect=(self._endpoint,), connect_timeout_s=1.0)
+            try:
+                self._bus = ZenohBus(config, SharedConfig().cell, "bench")
+            except BusError:
+                return False
+            self._bus.subscribe(HEALTH, self._take_health)
+        return True
+
     def _ready(self) -> bool:
+        if not self._connected():
+            return False
         trains = not self._learner or self.field("learner", "updates") > 0
         return trains and "sim" in self._health and self.field("planner", "snapshots") > 0
 
@@ -181,7 +192,7 @@ class Cell:
         self._wait(limit_s, "to finish the episode", lambda: self._health["sim"].state == Phase.DONE.value)
         return time.monotonic() - begun
 
-    def _wait(self, limit_s: float, what: str, reached: Any) -> None:
+    def _wait(self, limit_s: float, what: str, reached: Callable[[], bool]) -> None:
         deadline = time.monotonic() + limit_s
         while not reached():
             for name, child in self._children.items():
@@ -221,21 +232,18 @@ def measure(settings: Settings, learner: bool) -> dict[str, Any]:
 
 
 def _summary(cell: Cell, rates: Mapping[tuple[str, str], float], learner: bool) -> dict[str, Any]:
-    def rounded(service: str, names: Sequence[str]) -> dict[str, float]:
-        return {name: round(cell.field(service, name), 3) for name in names}
+    def rounded(service: str, *names: str) -> dict[str, float]:
+        values = {name: round(cell.field(service, name), 3) for name in names}
+        return {name: int(value) if value.is_integer() else value for name, value in values.items()}
 
     megabytes = rates["planner", "snapshots"] * cell.field("snapshots", "snapshot_mb")
     trained = {"updates_per_s": round(rates["learner", "updates"], 2)} if learner else {}
     names = ("sim", "planner", "snapshots", *(("learner",) if learner else ()))
     delays = [f"{what}_ms_{q}" for what in ("overhead", "plan_age") for q in ("p50", "p99", "max")]
     return {
-        **rounded("sim", delays),
-        **{
-            name: round(cell.field("sim", name))
-            for name in ("missed_ticks", "late_steps", "held_steps", "refused_chunks")
-        },
+        **rounded("sim", *delays, "missed_ticks", "late_steps", "held_steps", "refused_chunks"),
         "steps": round(cell.field("sim", "control_steps")),
-        **rounded("planner", ("plans", "plan_ms_p50", "plan_ms_p99", "plan_wait_ms_max")),
+        **rounded("planner", "plans", "plan_ms_p50", "plan_ms_p99", "plan_wait_ms_max"),
         "snapshots_loaded_mb_per_s": round(megabytes, 2),
         **trained,
         "loop_ms_p50_p99": {

@@ -20,7 +20,6 @@ from deploy.viewer.config import ViewerConfig
 from deploy.watchdog_config import WatchdogConfig
 from services.learner.config import LearnerConfig
 from services.planner.config import PlannerConfig
-from services.sim.config import SimConfig
 
 CELLS_DIR = Path(__file__).parent / "cells"
 ALL_LOCAL = "local"
@@ -42,7 +41,6 @@ class Cell(SharedConfig):
     model: ModelConfig = ModelConfig()
     planner: PlannerConfig = PlannerConfig()
     learner: LearnerConfig = LearnerConfig()
-    sim: SimConfig = SimConfig()
     curriculum: CurriculumConfig = CurriculumConfig()
     viewer: ViewerConfig = ViewerConfig()
     watchdog: WatchdogConfig = WatchdogConfig()
@@ -54,9 +52,7 @@ class Cell(SharedConfig):
         """Let values that follow from others default to them."""
         if not isinstance(data, Mapping):
             return data
-        task = {"task": data["task"]} if "task" in data else {}
-        filled = {"run_dir": f"runs/{data.get('cell', 'reach')}", **_router_address(data), **data}
-        return {**filled, "sim": {**task, **(data.get("sim") or {})}}
+        return {"run_dir": f"runs/{data.get('cell', 'reach')}", **_router_address(data), **data}
 
     def hash(self) -> str:
         """Digest of everything but the place of the results."""
@@ -85,8 +81,6 @@ def _method_problems(cell: Cell) -> Iterable[str]:
         yield f"planner.masks ({planner.masks}) exceed model.plan_masks ({model.plan_masks})"
     if len(cell.learner.loss.decay) != len(model.hidden) + 1:
         yield f"learner.loss.decay: {len(model.hidden) + 1} values wanted, one per layer of model.hidden"
-    if cell.sim.task != cell.task:
-        yield f"sim.task ({cell.sim.task}) differs from task ({cell.task})"
 
 
 def _machine_problems(machines: Mapping[str, Machine]) -> Iterable[str]:

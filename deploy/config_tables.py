@@ -74,7 +74,8 @@ def _kind(hint: Any) -> str:
         parts = dict.fromkeys(_kind(each) for each in get_args(hint) if each is not Ellipsis)
         join = {types.UnionType: " or ", Union: " or ", dict: " → "}.get(get_origin(hint), ", ")
         return f"{'list of ' if get_origin(hint) is tuple else ''}{join.join(parts)}"
-    return {"str": "text", "Path": "path", "bool": "true, false"}.get(hint.__name__, hint.__name__)
+    name = str(hint.__name__)
+    return {"str": "text", "Path": "path", "bool": "true, false"}.get(name, name)
 
 
 def presets() -> str:

@@ -14,9 +14,9 @@ from typing import cast
 from pydantic import ValidationError
 
 from common.config import ConfigError, Frozen
+from common.storage import write_atomically
 from deploy.schedule import Progress
 from deploy.scores import Row
-from common.storage import write_atomically
 
 ROWS_FILE = "episodes.jsonl"
 STATE_FILE = "curriculum.json"

@@ -36,7 +36,7 @@ PROCESSES: tuple[Process, ...] = (
         start_deadline_s=30.0,
         warm_up_s=5,
     ),
-    Process("sim", "services.sim", "plant", stop_wave=1, sections=("sim",)),
+    Process("sim", "services.sim", "plant", stop_wave=1),
     Process("planner", "services.planner", "method", stop_wave=0, sections=("planner",)),
     Process("learner", "services.learner", "method", stop_wave=0, sections=("model", "learner")),
     Process("viewer", "deploy.viewer", "operator", stop_wave=2, sections=("viewer",), required=False),

@@ -5,16 +5,13 @@ from __future__ import annotations
 from common.built import Built
 from common.cell import SharedConfig
 from common.task import get_task
-from services.sim.config import SimConfig
 from services.sim.plant import ShadowHandPlant
 from services.sim.port import PlantPort
 from services.sim.service import SimService
 
 
 class SimProcess(SharedConfig):
-    """What the sim process is started with."""
-
-    sim: SimConfig = SimConfig()
+    """What the sim process is started with: physics, substeps and start poses are the environment's own."""
 
 
 def build(config: SimProcess, boot_id: int) -> Built:

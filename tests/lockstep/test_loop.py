@@ -19,7 +19,7 @@ from services.planner.config import PlannerConfig
 from services.planner.mpc import Mpc
 from services.planner.particles import particles
 from services.sim.plant import ShadowHandPlant
-from tests.contracts.test_codec import fuzzed, valid_payloads
+from tests.contracts.test_codec_fuzz import fuzzed, valid_payloads
 from tests.lockstep.world import CODEC, SCRIPT, SECTIONS, World, logs
 
 TASK = get_task("reach")

@@ -72,7 +72,6 @@ def test_three_mistakes_give_three_lines(tmp_path: Path, capsys: pytest.CaptureF
         ("planner.horizon=2", "planner.horizon (2) must exceed control.steps_per_plan (2)"),
         ("planner.members=6", "planner.members (6) exceed model.members (5)"),
         ("model.hidden=[8, 8]", "learner.loss.decay: 3 values wanted"),
-        ("sim.task=egg", "sim.task (egg) differs from task (reach)"),
     ],
 )
 def test_sections_that_contradict_each_other_are_refused(override: str, complaint: str) -> None:

@@ -49,9 +49,7 @@ NEAR = torch.tensor([0.35, 0.05])  # from here the optimum is inside the bounds
 @pytest.mark.parametrize(
     "settings",
     [
-        config(
-            candidates=400, elites=20, iterations=25, refine_steps=0, noise_beta=0.5, population_decay=1.0
-        ),
+        config(candidates=400, elites=40, iterations=30, momentum=0.5, noise_beta=0.0, refine_steps=0),
         config(refine_sequences=4, refine_steps=300, refine_rate=0.03),
         config(search="none", refine_sequences=4, refine_steps=300, refine_rate=0.03),
     ],
@@ -181,7 +179,7 @@ def test_elites_are_kept_and_shifted_by_the_steps_in_between():
 )
 def test_elites_are_cleared(events):
     tried, before = first_candidates(events)
-    assert len(tried) == config().candidates
+    assert len(tried) == 1 + config().candidates  # the zero action, and fresh ones
     assert not torch.isclose(tried[:, 0], before[3]).any()
 
 
