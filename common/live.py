@@ -44,7 +44,7 @@ class LiveRunner:
     def run(self, stop: threading.Event) -> int:
         """Loop; returns the exit code. Everything is closed on the way out, also after an error."""
         self._dispatcher.open()
-        gc.freeze()  # what imports made never dies; each look through it took 0.1 s, more than two control steps
+        gc.freeze()  # what imports made never dies; each look through it took 0.1 s: two control steps
         try:
             while not stop.is_set() and self._dispatcher.finish is None:
                 self._turn()

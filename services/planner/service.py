@@ -73,7 +73,8 @@ class PlannerService:
             self._take_result(result, now_ns, out)
         newest = inbox.newest(STEP)
         rested = now_ns >= self._not_before_ns
-        if newest is not None and rested and self._consider(newest.header, newest.message, out):
+        begun = newest is not None and rested and self._consider(newest.header, newest.message, out)
+        if begun and not newest.message.waiting:
             self._wait_ms.append(inbox.status(STEP, now_ns).age_ns / 1e6)
         for sample in inbox.take(SNAPSHOT):
             self._unloaded = sample.message
@@ -88,7 +89,7 @@ class PlannerService:
         """Plan times over the last plans, counts since the start of the process."""
         p50, p99 = np.percentile(self._solve_ms, (50, 99)) if self._solve_ms else (0.0, 0.0)
         fields = {"plan_ms_p50": float(p50), "plan_ms_p99": float(p99), "x": float(self._x())}
-        fields["plan_wait_ms_max"] = max(self._wait_ms, default=0.0)  # of a step, until planned from
+        fields["plan_wait_ms_max"] = max(self._wait_ms, default=0.0)  # from a step's arrival on
         fields |= {key: float(self._counts[key]) for key in ("plans", "snapshots", "refused_snapshots")}
         fields |= {key: float(self._counts[key]) for key in ("diverged_plans", "failed_plans", "stale_plans")}
         return Report(self._state(), fields)

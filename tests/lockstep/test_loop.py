@@ -166,32 +166,56 @@ def test_two_thousand_bad_payloads_change_nothing_and_are_all_counted(clean, tmp
 
 
 def planned_run(directory, steps, **control):
-    """States and actions of one evaluation episode, and the snapshot that it was planned with."""
+    """One evaluation episode: states, actions, the plans' scores, and the snapshot that made them."""
     world = World(directory, (*SCRIPT[:2], (Mode.EVALUATE, steps)), **control).run()
     (learned,) = (s.message for s in world.sent("learner", SNAPSHOT))
-    assert {s.message.snapshot_id for s in world.sent("planner", CHUNK)} == {learned.snapshot_id}
+    chunks = [s.message for s in world.sent("planner", CHUNK)]
+    assert {chunk.snapshot_id for chunk in chunks} == {learned.snapshot_id}
     told = [s.message for s in world.sent("sim", STEP) if s.message.episode == 2 and not s.message.waiting]
-    states = np.array([step.state for step in told])
-    return states, np.array([step.prev_action for step in told[1:]]), Snapshot.from_bytes(learned.payload)
+    states, actions = np.array([s.state for s in told]), np.array([s.prev_action for s in told[1:]])
+    return states, actions, [chunk.score for chunk in chunks], Snapshot.from_bytes(learned.payload)
 
 
-def textbook(snapshot: Snapshot, steps: int, x: int):
-    """Synchronous MPC: observe, plan from there, execute x actions, repeat."""
-    config = PlannerConfig.model_validate(SECTIONS["planner"]["planner"])
-    dynamics = snapshot.dynamics("reach", TASK.state_dim, A, [])
-    mpc = Mpc(config, TASK)
-    mpc.set_model(particles(dynamics, snapshot.masks, config.members, config.masks, sampled=False))
-    plant = ShadowHandPlant("reach")
-    plant.reset(1003)
-    goal = torch.from_numpy(plant.goal.astype(np.float32))
-    states, actions = [plant.state.astype(np.float32)], []
-    for k in range(0, steps, x):
-        state = torch.from_numpy(states[-1])
-        plan = mpc.plan(state, goal, torch.empty(0, A), steps - k, generator(0, 2, 0, k))
-        for action in plan.actions[: min(x, steps - k)].numpy().clip(-1, 1):
-            states.append(plant.step(action).astype(np.float32))
-            actions.append(action)
-    return np.array(states), np.array(actions)
+class Textbook:
+    """The plant and the Mpc of an evaluation episode, without services, bus, buffer or clock."""
+
+    def __init__(self, snapshot: Snapshot, steps: int):
+        config = PlannerConfig.model_validate(SECTIONS["planner"]["planner"])
+        dynamics = snapshot.dynamics("reach", TASK.state_dim, A, [])
+        self.mpc = Mpc(config, TASK)
+        self.mpc.set_model(particles(dynamics, snapshot.masks, config.members, config.masks, sampled=False))
+        self.plant = ShadowHandPlant("reach")
+        self.plant.reset(1003)
+        self.steps = steps
+        self.states, self.actions, self.scores = [self.plant.state.astype(np.float32)], [], []
+
+    def plan(self, committed):
+        """A plan (H, A) from the present state through what is committed (x, A)."""
+        k = len(self.actions)
+        goal = torch.from_numpy(self.plant.goal.astype(np.float32))
+        state, ahead = torch.from_numpy(self.states[-1]), torch.from_numpy(committed)
+        random_numbers = generator(0, 2, 0, k + len(committed))
+        plan = self.mpc.plan(state, goal, ahead, self.steps - k, random_numbers)
+        self.scores.append(plan.score)
+        return plan.actions.numpy().clip(-1, 1)
+
+    def execute(self, actions):
+        for action in actions[: self.steps - len(self.actions)]:
+            self.actions.append(action)
+            self.states.append(self.plant.step(action).astype(np.float32))
+
+    def synchronous(self, x):
+        """Observe, plan from there, execute x actions, repeat."""
+        while len(self.actions) < self.steps:
+            self.execute(self.plan(np.empty((0, A), np.float32))[:x])
+
+    def asynchronous(self, x):
+        """Sec. III-B: while x actions are executed, plan from the state that they will lead to."""
+        committed = self.plan(np.empty((0, A), np.float32))[:x]
+        while len(self.actions) < self.steps:
+            following = self.plan(committed)[:x] if len(self.actions) + x < self.steps else None
+            self.execute(committed)
+            committed = following
 
 
 def generator(*plan):
@@ -203,14 +227,23 @@ def generator(*plan):
 @pytest.mark.parametrize(("x", "chunk"), [(1, "horizon"), (2, "horizon"), (2, "x")])
 def test_ahead_0_equals_synchronous_mpc(tmp_path, x, chunk):
     control = {"synchronous": True, "steps_per_plan": x, "chunk": chunk}
-    states, actions, snapshot = planned_run(tmp_path / "run", 7, **control)
-    expected_states, expected_actions = textbook(snapshot, 7, x)
-    assert np.array_equal(actions, expected_actions)
-    assert np.array_equal(states, expected_states)
+    states, actions, scores, snapshot = planned_run(tmp_path / "run", 7, **control)
+    expected = Textbook(snapshot, 7)
+    expected.synchronous(x)
+    assert np.array_equal(actions, expected.actions)
+    assert np.array_equal(states, expected.states)
+    assert scores == expected.scores
 
 
-def test_asynchronous_mpc_is_not_the_same_thing(tmp_path):
-    _, actions, snapshot = planned_run(tmp_path / "run", 7)
-    _, expected = textbook(snapshot, 7, 2)
-    assert np.array_equal(actions[:2], expected[:2])  # the first plan starts from the waiting step
-    assert not np.array_equal(actions[2:], expected[2:])
+@pytest.mark.parametrize(("x", "solve_ms"), [(1, 30.0), (2, 50.0), (3, 110.0)])
+def test_ahead_x_plans_from_where_the_committed_actions_lead(tmp_path, monkeypatch, x, solve_ms):
+    monkeypatch.setitem(SECTIONS["planner"]["planner"], "declared_solve_ms", solve_ms)
+    states, actions, scores, snapshot = planned_run(tmp_path / "run", 7, steps_per_plan=x)
+    expected, synchronous = Textbook(snapshot, 7), Textbook(snapshot, 7)
+    expected.asynchronous(x)
+    synchronous.synchronous(x)
+    assert np.array_equal(actions, expected.actions)
+    assert np.array_equal(states, expected.states)
+    assert scores == expected.scores
+    assert np.array_equal(actions[:x], synchronous.actions[:x])  # the first plan is for the waiting step
+    assert not np.array_equal(actions[x:], synchronous.actions[x:])

@@ -198,12 +198,7 @@ def test_a_plan_of_which_every_candidate_diverged_is_counted_and_sent_as_invalid
         planner.work()
     assert planner.fields["diverged_plans"] == 1
     assert planner.valid == [True, True, True, False]
-    assert [c.score for c in planner.chunks] == [
-        -1.0,
-        -2.0,
-        -3.0,
-        -1e30,
-    ]  # the wire takes finite numbers only
+    assert [c.score for c in planner.chunks] == [-1.0, -2.0, -3.0, -1e30]  # finite, as the wire wants it
 
 
 def test_x_auto_follows_the_measured_solve_time():
