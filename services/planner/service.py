@@ -73,9 +73,10 @@ class PlannerService:
             self._take_result(result, now_ns, out)
         newest = inbox.newest(STEP)
         rested = now_ns >= self._not_before_ns
-        begun = newest is not None and rested and self._consider(newest.header, newest.message, out)
-        if begun and not newest.message.waiting:
-            self._wait_ms.append(inbox.status(STEP, now_ns).age_ns / 1e6)
+        if newest is not None and rested:
+            begun = self._consider(newest.header, newest.message, out)
+            if begun and not newest.message.waiting:
+                self._wait_ms.append(inbox.status(STEP, now_ns).age_ns / 1e6)
         for sample in inbox.take(SNAPSHOT):
             self._unloaded = sample.message
         self._load(out)  # last: a plant that stands still must get a plan between two loads
