@@ -32,6 +32,11 @@ class Bus(Protocol):
         """Call `sink` for every payload of the topic, latched ones first; on any thread."""
         ...
 
+    @property
+    def misses(self) -> dict[str, int]:
+        """Samples that the transport lost for good, per key."""
+        ...
+
     def close(self) -> None:
         """Stop delivering and release threads and sockets."""
         ...
@@ -62,6 +67,11 @@ class LocalBus:
         for key, payload in kept:
             if topic.key == key or (topic.key.endswith("/*") and key.startswith(topic.key[:-1])):
                 sink(key, payload)
+
+    @property
+    def misses(self) -> dict[str, int]:
+        """Nothing is ever lost within a process."""
+        return {}
 
     def close(self) -> None:
         """Forget subscribers and latched payloads."""
@@ -132,7 +142,8 @@ class Inbox:
         self._results_waiting: deque[JobResult] = deque()
         self.results: list[JobResult] = []  # finished since the last step
         self.ticks = 0  # deadlines passed since the last step; 0: woken by a sample or a result
-        self.refused: dict[str, int] = {}  # per key
+        # Per topic: keys are the sender's choice, and a heartbeat with too many of them would not be sent.
+        self.refused: dict[str, int] = {}
         self.last_refusal = ""
         self.wake = threading.Event()
 
@@ -144,7 +155,7 @@ class Inbox:
             try:
                 sample = self._codec.decode(key, payload)
             except Refused as error:
-                self._refuse(key, error)
+                self._refuse(topic, key, error)
                 return
             with self._lock:
                 box.put(sample, payload)
@@ -153,9 +164,9 @@ class Inbox:
 
         return deliver
 
-    def _refuse(self, key: str, error: Refused) -> None:
+    def _refuse(self, topic: Topic, key: str, error: Refused) -> None:
         with self._lock:
-            self.refused[key] = self.refused.get(key, 0) + 1
+            self.refused[topic.key] = self.refused.get(topic.key, 0) + 1
             self.last_refusal = f"{key}: {error}"
 
     def finish(self, result: JobResult) -> None:

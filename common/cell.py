@@ -36,6 +36,8 @@ class ControlConfig(Frozen):
     def _plausible(self) -> ControlConfig:
         if self.steps_per_plan != "auto" and not 1 <= self.steps_per_plan <= 50:
             raise ValueError("steps_per_plan must be auto or from 1 to 50")
+        if self.steps_per_plan == "auto" and self.start == "zero":
+            raise ValueError("start: zero executes x zero actions, so steps_per_plan must be a number")
         return self
 
     @property
@@ -47,7 +49,7 @@ class ControlConfig(Frozen):
 class LogConfig(Frozen):
     """Bounds of each process's bus log."""
 
-    enabled: bool = True
+    enabled: bool = Field(default=True, description="keep what each process received, decided and sent")
     segment_mb: float = Field(default=64.0, gt=0, description="size at which a new file is begun")
     keep_mb: float = Field(default=512.0, gt=0, description="oldest files beyond this total are deleted")
 
@@ -56,7 +58,9 @@ class SharedConfig(Frozen):
     """What each process of a cell knows: its name, task, bus, timing, and where to write."""
 
     cell: str = Field(default="reach", pattern=r"^[a-z][a-z0-9_]*$", description="key prefix on the bus")
-    task: Literal["reach", "egg", "egg_rotate", "block"] = "reach"
+    task: Literal["reach", "egg", "egg_rotate", "block", "die"] = Field(
+        default="reach", description="what the hand learns; it fixes state, action and goal"
+    )
     seed: int = Field(
         default=0, ge=0, lt=1_000_000, description="training seed; evaluation seeds start at 1 000 000"
     )

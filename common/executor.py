@@ -75,8 +75,9 @@ class ActionBuffer:
             return reason
         self._newest = (sender, seq)
         end = chunk.first_k + len(chunk.actions)
-        self._slots = {index: slot for index, slot in self._slots.items() if index < chunk.first_k}
-        for index in range(max(chunk.first_k, k), end):
+        begin = max(chunk.first_k, k)  # what is before stays: a mirror of this buffer has not taken it yet
+        self._slots = {index: slot for index, slot in self._slots.items() if index < begin}
+        for index in range(begin, end):
             offset = index - chunk.first_k
             self._slots[index] = _Slot(chunk.actions[offset], seq, offset, chunk.commit)
         return ""

@@ -93,21 +93,22 @@ class LiveRunner:
         inbox = self._dispatcher.inbox
         report = self._dispatcher.service.report()
         p50, p99 = np.percentile(self._loop_ms, (50, 99)) if self._loop_ms else (0.0, 0.0)
-        unsendable = {"unsendable": float(self._dispatcher.unsendable)}
+        log_failed = self._dispatcher.log_failed
+        own = {"unsendable": float(self._dispatcher.unsendable), "log_failed": float(bool(log_failed))}
         health = Health(
             service=self._dispatcher.service.name,
-            state=report.state,
+            state=log_failed or report.state,
             loop_p50_ms=float(p50),
             loop_p99_ms=float(p99),
             ticks=self._ticks,
             overruns=self._overruns,
             stale_inputs=inbox.stale(now),
             refused=dict(inbox.refused),
-            dropped=inbox.dropped,
+            dropped=self._dispatcher.dropped,
             config_hash=self._config_hash,
             version=self._version,
             rss_mb=_rss_mb(),
-            fields=report.fields | unsendable,
+            fields=report.fields | own,
         )
         return Publish(HEALTH, health, suffix=self._dispatcher.service.name)
 

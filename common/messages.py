@@ -62,7 +62,7 @@ class Warmup(StrEnum):
 
 
 class Fallback(StrEnum):
-    """Why an executed action did not come from a chunk."""
+    """What replaced a planned action; warm-up actions replace none."""
 
     NONE = "none"
     START = "start"  # the x zero actions that `start: zero` prescribes
@@ -96,6 +96,7 @@ class Step:
     mode: Mode
     state: Annotated[Float32, ArraySpec("<f4", ("S",), "task groups: rad, rad/s, m, m/s, quaternion wxyz")]
     part_valid: Annotated[UInt8, ArraySpec("|u1", ("V",), "0 or 1 per group of the state", limit=1)]
+    part_age_ms: Annotated[Float32, ArraySpec("<f4", ("V",), "ms from measuring a group to this step")]
     prev_action: Annotated[Float32, ArraySpec("<f4", ("A",), "normalised, as executed", limit=1.0)]
     goal: Annotated[Float32, ArraySpec("<f4", ("G",), "task goal: m, quaternion wxyz")]
     chunk_seq: Annotated[int, Range(-1, 2**62)]  # header.seq of the chunk prev_action came from; -1: none
@@ -189,8 +190,8 @@ class Health:
     ticks: Count
     overruns: Count  # ticks skipped because the loop was late
     stale_inputs: tuple[str, ...]
-    refused: dict[str, int]  # per key: payloads that the codec refused
-    dropped: dict[str, int]  # per key: frames lost before they were read
+    refused: dict[str, int]  # per topic: payloads that the codec refused
+    dropped: dict[str, int]  # per topic: frames lost before they were read
     config_hash: str
     version: str
     rss_mb: Annotated[float, Range(0, 1e9, "MB")]
@@ -217,7 +218,124 @@ class PlantFrame:
     reset: bool
 
 
-Message = Step | Chunk | Episode | Ack | SnapshotMessage | Metrics | Health | PlantCommand | PlantFrame
+class PoseSource(StrEnum):
+    """Who tells where the object is; exactly one in a cell."""
+
+    TWIN = "twin"  # the physics behind the emulated hand
+    CAMERA = "camera"
+
+
+@dataclass(frozen=True)
+class ObjectPose:
+    """`object/pose`: the die in the palm frame; the header's t_ns is when it was seen, not when it was sent."""
+
+    position: Annotated[Float32, ArraySpec("<f4", (3,), "m, palm frame")]
+    rotation: Annotated[Float32, ArraySpec("<f4", (4,), "quaternion wxyz, palm frame", limit=2.0)]
+    covariance: Annotated[Float32, ArraySpec("<f4", (6, 6), "m² and rad², translation first")]
+    quality: Annotated[float, Range(0, 1)]  # share of what should be seen that is
+    label_posterior: Annotated[Float32, ArraySpec("<f4", (24,), "probability per labelling", limit=1.0)]
+    source: PoseSource
+
+
+class Drive(StrEnum):
+    """What the driver of the hand makes the motors do."""
+
+    OFF = "off"  # no torque; the hand only reports
+    HOLD = "hold"  # stay at the present set point
+    FOLLOW = "follow"  # go to the commanded action
+
+
+class Link(StrEnum):
+    """Whether the hand's bus can be used."""
+
+    DOWN = "down"
+    UP = "up"
+    BUS_OFF = "bus_off"  # until a board has been heard again
+
+
+@dataclass(frozen=True)
+class HandCommand:
+    """`port/hand/command`: what the driver does until the next command; its own silence ends in no torque."""
+
+    drive: Drive
+    action: Annotated[Float32, ArraySpec("<f4", ("E",), "normalised, or empty", limit=1.0)]
+    duration_ns: Count  # of the way to `action`
+
+
+_MOTORS = ("<f4", (12,))
+
+
+@dataclass(frozen=True)
+class HandFrame:
+    """`port/hand`: what the hand last reported and what the driver last sent.
+
+    12 motors, 6 boards, 5 fingertips (thumb first) in the order of common.dexhand021.tables; what is not
+    valid keeps its last value, or 0 before there was one.
+    """
+
+    t_ns: Count  # when this was put together; board i was heard `age_ms[i]` before
+    link: Link
+    drive: Drive
+    angle_rad: Annotated[Float32, ArraySpec(*_MOTORS, "rad")]
+    target_rad: Annotated[Float32, ArraySpec(*_MOTORS, "rad, as sent")]
+    enabled: Annotated[UInt8, ArraySpec("|u1", (12,), "motor has torque", limit=1)]
+    limited: Annotated[UInt8, ArraySpec("|u1", (12,), "target is not what was asked for", limit=1)]
+    current_ma: Annotated[Float32, ArraySpec(*_MOTORS, "mA")]
+    flags: Annotated[UInt8, ArraySpec("|u1", (12,), "error bits of a motor")]
+    force_n: Annotated[Float32, ArraySpec("<f4", (5,), "N, normal force")]
+    force_valid: Annotated[UInt8, ArraySpec("|u1", (5,), "0 or 1", limit=1)]
+    temperature_c: Annotated[Float32, ArraySpec("<f4", (6,), "°C")]
+    temperature_valid: Annotated[UInt8, ArraySpec("|u1", (6,), "0 or 1", limit=1)]
+    age_ms: Annotated[Float32, ArraySpec("<f4", (6,), "ms since a board was heard; 1e6: never")]
+    rate_hz: Annotated[Float32, ArraySpec("<f4", (6,), "replies a second")]
+    overheated: Annotated[UInt8, ArraySpec("|u1", (6,), "board said so and is not cool again", limit=1)]
+    counts: dict[str, float]  # what the driver and the limits count
+
+
+@dataclass(frozen=True)
+class HandJoints:
+    """`hand/joints`: a real hand for people; shapes and order as in HandFrame."""
+
+    state: str  # of the arming
+    faults: tuple[str, ...]
+    q_rad: Annotated[Float32, ArraySpec(*_MOTORS, "rad")]
+    target_rad: Annotated[Float32, ArraySpec(*_MOTORS, "rad, as sent")]
+    current_ma: Annotated[Float32, ArraySpec(*_MOTORS, "mA")]
+    flags: Annotated[UInt8, ArraySpec("|u1", (12,), "error bits of a motor")]
+    force_n: Annotated[Float32, ArraySpec("<f4", (5,), "N, normal force")]
+    force_valid: Annotated[UInt8, ArraySpec("|u1", (5,), "0 or 1", limit=1)]
+    temperature_c: Annotated[Float32, ArraySpec("<f4", (6,), "°C")]
+    temperature_valid: Annotated[UInt8, ArraySpec("|u1", (6,), "0 or 1", limit=1)]
+    board_age_ms: Annotated[Float32, ArraySpec("<f4", (6,), "ms since a board was heard")]
+
+
+class ArmWish(StrEnum):
+    """What a person may ask of a real hand."""
+
+    ARM = "arm"
+    DISARM = "disarm"
+    STATUS = "status"
+
+
+@dataclass(frozen=True)
+class ArmRequest:
+    """`port/arm`: a person's wish, as it came in with the query `hand/arm`."""
+
+    wish: ArmWish
+
+
+@dataclass(frozen=True)
+class ArmReply:
+    """`port/arm/reply`: the answer to that query."""
+
+    accepted: bool
+    state: str
+    reason: str
+
+
+BusMessage = Step | Chunk | Episode | Ack | SnapshotMessage | Metrics | Health | ObjectPose | HandJoints
+PortMessage = PlantCommand | PlantFrame | HandCommand | HandFrame | ArmRequest | ArmReply
+Message = BusMessage | PortMessage
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NoReturn, TypeVar
 
 from common.built import Built, codec_for, new_boot_id
-from common.buslog import BusLog, LogSink, NoLog
+from common.buslog import BackgroundLog, BusLog, LogSink, NoLog
 from common.cell import SharedConfig
 from common.clock import WallClock
 from common.clock_offset import ClockServer
@@ -30,12 +30,14 @@ def run_process(name: str, model: type[ProcessT], build: Callable[[ProcessT, int
 
     `build(config, boot_id)` makes the service. Exit codes: 0 finished or stopped, 2 bad config, 3 no bus.
     """
+    boot_id = new_boot_id()
     try:
         config = load(model, *_arguments(name))
+        built = build(config, boot_id)
     except ConfigError as error:
         print(error, file=sys.stderr)
         _exit(2)
-    _exit(_serve(name, config, build))
+    _exit(_serve(built, config, boot_id))
 
 
 def _arguments(name: str) -> tuple[Path, list[str]]:
@@ -46,10 +48,9 @@ def _arguments(name: str) -> tuple[Path, list[str]]:
     return arguments.config, arguments.overrides
 
 
-def _serve(name: str, config: ProcessT, build: Callable[[ProcessT, int], Built]) -> int:
+def _serve(built: Built, config: SharedConfig, boot_id: int) -> int:
     stop = _stop_on_signals()
-    boot_id = new_boot_id()
-    built = build(config, boot_id)
+    name = built.service.name  # with several machines there is a watchdog on each, with a name of its own
     try:
         bus = ZenohBus(config.bus, config.cell, name)
     except BusError as error:
@@ -69,13 +70,14 @@ def _log(name: str, config: SharedConfig, boot_id: int) -> LogSink:
     if not config.log.enabled:
         return NoLog()
     megabyte = 1_000_000
-    return BusLog(
+    log = BusLog(
         config.run_dir / "log",
         name,
         boot_id,
         round(config.log.segment_mb * megabyte),
         round(config.log.keep_mb * megabyte),
     )
+    return BackgroundLog(log)
 
 
 def _stop_on_signals() -> threading.Event:

@@ -85,6 +85,8 @@ class _Turn:
 class _SentFrames:
     """A log sink that keeps the frames that the service sends."""
 
+    failed = ""
+
     def __init__(self) -> None:
         self._frames: list[Entry] = []
 

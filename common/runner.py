@@ -115,6 +115,16 @@ class Dispatcher:
         self._seq[key] += 1
         return self._codec.encode(header, message)
 
+    @property
+    def log_failed(self) -> str:
+        """Why the log has ended, or an empty text."""
+        return self._log.failed
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Frames lost per key, by the transport or because they were not read in time."""
+        return dict(Counter(self.inbox.dropped) + Counter(self._bus.misses))
+
     def flush(self) -> None:
         """Hand the log to the operating system."""
         self._log.flush()

@@ -61,13 +61,29 @@ SNAPSHOT = Topic(
     max_bytes=256 * 1024 * 1024,
 )
 HEALTH = Topic("health/*", messages.Health, "heartbeat of a main loop", rate_hz=2.0, latched=1)
+OBJECT_POSE = Topic("object/pose", messages.ObjectPose, "the die in the palm frame", rate_hz=30.0)
+HAND_JOINTS = Topic("hand/joints", messages.HandJoints, "a real hand, joint by joint, for the dashboard")
 
-TOPICS: tuple[Topic, ...] = (STEP, CHUNK, EPISODE, ACK, METRICS, SNAPSHOT, HEALTH)
+TOPICS: tuple[Topic, ...] = (
+    STEP,
+    CHUNK,
+    EPISODE,
+    ACK,
+    METRICS,
+    SNAPSHOT,
+    HEALTH,
+    OBJECT_POSE,
+    HAND_JOINTS,
+)
 
 # Ports are private to a runner; they stand here because their frames are logged and replayed alike.
 PLANT_COMMAND = Topic("port/plant/command", messages.PlantCommand, "to the simulated hand")
 PLANT_FRAME = Topic("port/plant", messages.PlantFrame, "from the simulated hand")
-PORTS: tuple[Topic, ...] = (PLANT_COMMAND, PLANT_FRAME)
+HAND_COMMAND = Topic("port/hand/command", messages.HandCommand, "to the driver of the real hand")
+HAND_FRAME = Topic("port/hand", messages.HandFrame, "from the driver of the real hand")
+ARM_REQUEST = Topic("port/arm", messages.ArmRequest, "a person's wish, from the query hand/arm")
+ARM_REPLY = Topic("port/arm/reply", messages.ArmReply, "the answer to that query")
+PORTS: tuple[Topic, ...] = (PLANT_COMMAND, PLANT_FRAME, HAND_COMMAND, HAND_FRAME, ARM_REQUEST, ARM_REPLY)
 
 
 def topic_of(key: str) -> Topic:

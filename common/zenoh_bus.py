@@ -25,7 +25,9 @@ CLOSE_S = 2.0
 ALIVE_TIMEOUT_S = 1.0
 HEARTBEAT_S = 0.2  # publishers of recovered topics say how far they are: bounds the delay of a recovery
 QUEUE = 1024  # samples between Zenoh's threads and ours; when full, Zenoh waits and nothing is lost here
-BULK_QUEUE = 2  # of topics that block their sender only the newest matter
+# Of topics that block their sender only the newest matter; but a few must fit, or bad ones, which are refused
+# only behind this queue, would push a good one out unseen.
+BULK_QUEUE = 16
 
 _PRIORITIES = {
     Priority.REAL_TIME: zenoh.Priority.REAL_TIME,

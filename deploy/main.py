@@ -19,7 +19,7 @@ from deploy.launch import OPERATOR, Launch, LaunchError, orphans
 from deploy.monitor import Heard, Monitor
 from deploy.processes import WATCHDOG
 from deploy.progress import Display, figures, summarise
-from deploy.status import restarts, rows, table
+from deploy.status import restarts, rows, table, tallies
 from deploy.supervisor_client import ProcessInfo, SupervisorError
 
 ROUTER_PATIENCE_S = 30.0
@@ -29,14 +29,20 @@ INTERRUPTED = 128
 
 
 def main(argv: list[str]) -> int:
-    """Do what the command line says; returns the exit code and prints at most a few lines about an error."""
+    """Do what the command line says and return the exit code; an error is told in a few lines.
+
+    Exit codes: 0 done, 1 something failed, 2 wrong command line or cell, 128 + n ended by signal n.
+    """
     try:
         arguments = parse(argv)
         if arguments.help:
             print(USAGE)
             return 0
         return Operator(arguments).do()
-    except (UsageError, ConfigError, LaunchError, BusError, SupervisorError) as error:
+    except (UsageError, ConfigError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    except (LaunchError, BusError, SupervisorError) as error:
         print(error, file=sys.stderr)
         return 1
 
@@ -119,6 +125,7 @@ class Operator:
         counts = restarts(self._launch.files.supervisor_log)
         found = rows(self._everything(), infos, heard, self._cell.config_hash, counts)
         print(table(found))
+        print(tallies(heard))
         if not running:
             print(f"nothing is supervised in {self._cell.run_dir} (machine {self._machine})")
         return int(not running or any(row.problem for row in found))

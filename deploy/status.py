@@ -31,6 +31,18 @@ HEADINGS = (
 )  # fmt: skip
 
 
+# What went wrong and was survived: counted by the process named first, since its start.
+TALLIES = (
+    ("sim", "held_steps"),
+    ("sim", "late_steps"),
+    ("sim", "missed_ticks"),
+    ("sim", "abandoned_episodes"),
+    ("sim", "unacknowledged"),
+    ("learner", "incomplete_episodes"),
+    ("curriculum", "lost_episodes"),
+)
+
+
 def rows(
     instances: Sequence[str],
     infos: Mapping[str, ProcessInfo],
@@ -89,6 +101,12 @@ def table(found: Sequence[Row]) -> str:
         "  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)).rstrip()
         for line in lines
     )
+
+
+def tallies(heard: Mapping[str, Heard]) -> str:
+    """Lay out what was survived, in one line; what nobody reports is left out."""
+    reported = [(field, heard[name].health.fields.get(field)) for name, field in TALLIES if name in heard]
+    return "  ".join(f"{field} {count:.0f}" for field, count in reported if count is not None)
 
 
 def restarts(supervisor_log: Path) -> Counter[str]:

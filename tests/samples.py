@@ -38,6 +38,7 @@ STEP_0 = Step(
     mode=Mode.PLAN,
     state=np.linspace(-0.4, 0.4, S, dtype=np.float32),
     part_valid=np.ones(V, np.uint8),
+    part_age_ms=np.zeros(V, np.float32),
     prev_action=np.zeros(A, np.float32),
     goal=np.full(G, 0.25, np.float32),
     chunk_seq=-1,

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from common.task.die import DIE_GROUPS, DieTask
 from common.task.layout import OBJECT_GROUPS, REACH_GROUPS, Group
 from common.task.manipulate import ManipulateTask
 from common.task.reach import ReachTask
 from common.task.task import Task
 
-__all__ = ["TASKS", "Group", "ManipulateTask", "ReachTask", "Task", "get_task"]
+__all__ = ["TASKS", "DieTask", "Group", "ManipulateTask", "ReachTask", "Task", "get_task"]
 
 TASKS: Mapping[str, Task] = MappingProxyType(
     {
@@ -20,6 +21,7 @@ TASKS: Mapping[str, Task] = MappingProxyType(
             ManipulateTask("egg", OBJECT_GROUPS, goal_dim=7, position_counts=True),
             ManipulateTask("egg_rotate", OBJECT_GROUPS, goal_dim=7),
             ManipulateTask("block", OBJECT_GROUPS, goal_dim=7),
+            DieTask("die", DIE_GROUPS, goal_dim=7),
         )
     }
 )

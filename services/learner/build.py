@@ -30,6 +30,6 @@ def build(config: LearnerProcess, boot_id: int) -> Built:
     task = get_task(config.task)
     directory = config.run_dir / "learner"
     store = EpisodeStore(directory / "episodes", task.state_dim, task.action_dim, config.learner.holdout)
-    trainer = Trainer(config.learner, config.model, task, config.seed)
+    trainer = Trainer(config.learner, config.model, task, config.seed, config.learner.device)
     worker = LearnerWorker(directory, store, trainer)
     return Built(LearnerService(config.learner, config.warmup_steps, worker, boot_id))

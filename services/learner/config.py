@@ -89,6 +89,7 @@ class LearnerConfig(Frozen):
         default="each_update", description="after_warmup: fitted once and then frozen; steadier for reach"
     )
     threads: int = Field(default=1, ge=1, description="CPU threads of the training job")
+    device: str = Field(default="cpu", description="where training runs: cpu, cuda, cuda:1")
     declared_update_ms: float = Field(
         default=20.0, ge=0.0, description="duration of a gradient step in lock-step"
     )

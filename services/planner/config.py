@@ -20,8 +20,8 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
             "horizon": 5,
             "masks": 1,
             "knots": 1,
-            # Tuned for the real hand; on the simulated ones it outweighs the reward of the last centimetre.
-            "smooth_weight": 0.0,
+            # Paper: 0.01 on the real hand; in simulation that outweighs the reward of the last centimetre.
+            "smooth_weight": 0.001,
             "search": "icem",
             "candidates": 40,
             "elites": 8,
@@ -38,7 +38,10 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
 class PlannerConfig(Frozen):
     """How to plan. Defaults are the values of the paper, and of DPETS where the paper gives none."""
 
-    preset: Literal["paper", "fast"] = "paper"
+    preset: Literal["paper", "fast"] = Field(
+        default="paper",
+        description="values that the other keys default to: the paper's, or a real-time search",
+    )
 
     # Particles: B members with M Dropout masks each.
     members: int = Field(default=5, ge=1, description="B, the members of the ensemble that are used")
@@ -57,7 +60,9 @@ class PlannerConfig(Frozen):
     knots: int = Field(
         default=0, ge=0, description="K, free actions over the horizon; 1 = constant, 0 = one per step"
     )
-    interpolation: Literal["linear", "hold"] = "linear"
+    interpolation: Literal["linear", "hold"] = Field(
+        default="linear", description="of the actions between knots"
+    )
 
     # Objective, Eq. (5).
     smooth_weight: float = Field(default=0.01, ge=0.0, description="λ, reward per unit of summed |Δs|")
@@ -73,10 +78,12 @@ class PlannerConfig(Frozen):
     )
 
     # Search over candidates.
-    search: Literal["cem", "icem", "none"] = "cem"
+    search: Literal["cem", "icem", "none"] = Field(
+        default="cem", description="cem: the paper's; icem: coloured noise, kept elites; none: gradient alone"
+    )
     candidates: int = Field(default=500, ge=1, description="N, in the first iteration")
-    elites: int = Field(default=50, ge=1)
-    iterations: int = Field(default=5, ge=1)
+    elites: int = Field(default=50, ge=1, description="best candidates that set mean and variance")
+    iterations: int = Field(default=5, ge=1, description="rounds of sampling")
     momentum: float = Field(default=0.1, ge=0.0, lt=1.0, description="α, share of the old mean and variance")
     init_std: float = Field(
         default=0.5, gt=0.0, description="a quarter of the action range: variance (ub - lb)²/16"
@@ -91,8 +98,8 @@ class PlannerConfig(Frozen):
     )
 
     # Gradient refinement of the best sequences through the model.
-    refine_sequences: int = Field(default=0, ge=0)
-    refine_steps: int = Field(default=0, ge=0)
+    refine_sequences: int = Field(default=0, ge=0, description="sequences that Adam improves; 0: none")
+    refine_steps: int = Field(default=0, ge=0, description="steps that Adam takes with each")
     refine_rate: float = Field(default=0.08, gt=0.0, description="Adam's step, in normalised action")
 
     # Time and exploration; x and the start of an episode are the cell's `control` section.
@@ -105,8 +112,8 @@ class PlannerConfig(Frozen):
         default=0.1, ge=0.0, le=1.0, description="a joint's chance per step of new noise"
     )
 
-    threads: int = Field(default=1, ge=1)
-    device: str = "cpu"
+    threads: int = Field(default=1, ge=1, description="CPU threads of a plan")
+    device: str = Field(default="cpu", description="where plans are made: cpu, cuda, cuda:1")
 
     @model_validator(mode="before")
     @classmethod

@@ -69,9 +69,9 @@ class PlannerService:
     def step(self, now_ns: int, inbox: Inbox) -> list[Output]:
         """Publish what is solved, load what has arrived, and plan from the newest state if it is time to."""
         out: list[Output] = []
-        for result in inbox.results:
-            self._take_result(result, now_ns, out)
         newest = inbox.newest(STEP)
+        for result in inbox.results:
+            self._take_result(result, now_ns, self._next_k(newest.message if newest else None), out)
         rested = now_ns >= self._not_before_ns
         if newest is not None and rested:
             begun = self._consider(newest.header, newest.message, out)
@@ -91,7 +91,10 @@ class PlannerService:
         p50, p99 = np.percentile(self._solve_ms, (50, 99)) if self._solve_ms else (0.0, 0.0)
         fields = {"plan_ms_p50": float(p50), "plan_ms_p99": float(p99), "x": float(self._x())}
         fields["plan_wait_ms_max"] = max(self._wait_ms, default=0.0)  # from a step's arrival on
-        fields |= {key: float(self._counts[key]) for key in ("plans", "snapshots", "refused_snapshots")}
+        fields |= {
+            key: float(self._counts[key])
+            for key in ("plans", "snapshots", "refused_snapshots", "invalid_states")
+        }
         fields |= {key: float(self._counts[key]) for key in ("diverged_plans", "failed_plans", "stale_plans")}
         return Report(self._state(), fields)
 
@@ -111,7 +114,11 @@ class PlannerService:
 
     # --- results ---------------------------------------------------------------------------------
 
-    def _take_result(self, result: JobResult, now_ns: int, out: list[Output]) -> None:
+    def _next_k(self, step: Step | None) -> int:
+        """The first step whose action the plant has not chosen yet."""
+        return 0 if step is None else step.k + (not step.waiting)
+
+    def _take_result(self, result: JobResult, now_ns: int, next_k: int, out: list[Output]) -> None:
         if result.name == "load":
             self._loading = False
             self._take_model(result)
@@ -124,7 +131,7 @@ class PlannerService:
             self._not_before_ns = now_ns + RETRY_NS
         elif isinstance(result.value, Solution) and request is not None:
             self._last_error = ""
-            self._publish(result.value, result.duration_ns / 1e6, out)
+            self._publish(result.value, result.duration_ns / 1e6, next_k, out)
 
     def _take_model(self, result: JobResult) -> None:
         if not isinstance(result.value, Prepared):
@@ -143,7 +150,7 @@ class PlannerService:
         out.append(Job("load", self._solver.prepare, (self._unloaded.payload,), lane="load"))
         self._unloaded = None
 
-    def _publish(self, solution: Solution, solve_ms: float, out: list[Output]) -> None:
+    def _publish(self, solution: Solution, solve_ms: float, next_k: int, out: list[Output]) -> None:
         """Send the chunk unless the goal it was made for is gone."""
         self._solve_ms.append(solve_ms)
         self._counts["plans"] += 1
@@ -153,7 +160,7 @@ class PlannerService:
             self._counts["stale_plans"] += 1
             return
         chunk = self._chunk(solution, solve_ms)
-        self._mirror.offer(chunk, self._sent, request.source_k)
+        self._mirror.offer(chunk, self._sent, next_k)
         self._sent += 1
         out.append(Publish(CHUNK, chunk, valid=solution.valid))
 
@@ -184,6 +191,9 @@ class PlannerService:
         if step.mode not in (Mode.PLAN, Mode.EVALUATE) or step.last:
             return False
         self._follow(header, step)
+        if not (header.valid and step.part_valid.all()):
+            self._counts["invalid_states"] += 1
+            return False
         outdated = step.waiting and self._loading  # a plant that stands still can wait for the newest model
         if self._solving or self._model is None or outdated:
             return False

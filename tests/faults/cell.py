@@ -13,6 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from common.built import codec_for
 from common.bus_config import BusConfig
 from common.codec import Refused
@@ -47,11 +49,12 @@ SIZES = (
 )
 
 
-def wait(condition: Callable[[], Any], what: str, patience_s: float = PATIENCE_S) -> Any:
+def wait(condition: Callable[[], Any], what: str | Callable[[], str], patience_s: float = PATIENCE_S) -> Any:
     """Poll until the condition gives something true, and return that."""
     deadline = time.monotonic() + patience_s
     while not (found := condition()):
-        assert time.monotonic() < deadline, f"waited in vain for {what}"
+        if time.monotonic() > deadline:
+            pytest.fail(f"waited in vain for {what if isinstance(what, str) else what()}")
         time.sleep(0.02)
     return found
 

@@ -1,4 +1,4 @@
-"""Processes that are killed or frozen in the middle of an episode: the others go on, the victim comes back."""
+"""Processes killed or frozen in the middle of an episode: the others go on, the victim comes back."""
 
 import re
 import signal
@@ -29,7 +29,9 @@ def takes_part(cell, name, since, boot, episode):
 
 def assert_clock_kept(ear, episode, missed):
     """The plant never waited: all steps of the episode are there, at the times at which they were due."""
-    steps = wait(lambda: (found := ear.steps_of(episode))[-1].message.last and found, "the end of the episode")
+    steps = wait(
+        lambda: (found := ear.steps_of(episode))[-1].message.last and found, "the end of the episode"
+    )
     wait(lambda: len(ear.steps_of(episode)) == STEPS + 1, "every step of the episode")
     steps = ear.steps_of(episode)
     assert [s.message.k for s in steps] == list(range(STEPS + 1))

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from common.buslog import BusLog, Entry, NoLog, log_files, read_log
+from common.buslog import BackgroundLog, BusLog, Entry, NoLog, log_files, read_log
 
 ENTRIES = [
     Entry("in", 1, "control/step", b"\x00\xff"),
@@ -37,6 +37,26 @@ def test_what_is_flushed_survives_a_kill(tmp_path):
     log.flush()
     assert read_all(tmp_path) == ENTRIES[:1]
     log.close()
+
+
+def test_a_log_written_in_the_background_is_the_same_log(tmp_path):
+    log = BackgroundLog(BusLog(tmp_path, "sim", 7, 10**6, 10**9))
+    for entry in ENTRIES:
+        log.write(entry)
+        log.flush()
+    log.close()
+    assert read_all(tmp_path) == ENTRIES
+
+
+def test_a_background_log_that_cannot_write_says_so_and_raises_nothing():
+    class Full(NoLog):
+        def write(self, entry):
+            raise OSError("disk full")
+
+    log = BackgroundLog(Full())
+    log.write(ENTRIES[0])
+    log.close()
+    assert log.failed == "log ended: disk full"
 
 
 def test_a_torn_end_loses_only_the_torn_entry(tmp_path):

@@ -41,6 +41,7 @@ def step_message(episode: Episode, k: int, **changes) -> Step:
         "mode": episode.mode,
         "state": np.full(TASK.state_dim, 0.01 * k, np.float32),
         "part_valid": np.ones(len(TASK.groups), np.uint8),
+        "part_age_ms": np.zeros(len(TASK.groups), np.float32),
         "prev_action": np.zeros(TASK.action_dim, np.float32),
         "goal": np.zeros(TASK.goal_dim, np.float32),
         "chunk_seq": -1,

@@ -41,9 +41,9 @@ def test_mistakes_are_named_in_one_line(line: str, complaint: str) -> None:
 
 
 def test_an_unusable_cell_ends_with_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--config", "debug", "--set", "seed=-1", "status"]) == 1
+    assert main(["--config", "debug", "--set", "seed=-1", "status"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
-    assert main(["nowhere", "--config", "three_machines", "up"]) == 1
+    assert main(["nowhere", "--config", "three_machines", "up"]) == 2
     assert "nowhere: no such machine" in capsys.readouterr().err
 
 

@@ -25,6 +25,7 @@ def step(task_name, k, episode=0, boot_id=7, seq=0, **changes):
         mode=Mode.PLAN,
         state=state,
         part_valid=np.ones(len(task.groups), np.uint8),
+        part_age_ms=np.zeros(len(task.groups), np.float32),
         prev_action=np.zeros(task.action_dim, np.float32),
         goal=goal,
         chunk_seq=-1,
