@@ -18,6 +18,7 @@ from deploy.watchdog_config import WatchdogConfig
 PERIOD_NS = 500_000_000
 ASLEEP_NS = 2_000_000_000  # a pause of our own this long proves nothing about the others
 UPTIME_DOUBT_S = 1.5  # supervisord counts whole seconds; nobody speaks sooner after its start
+QUIET_S = 2.0  # four heartbeats: when nobody at all is heard for so long, the bus itself is in doubt
 ROUTER = "router"
 
 
@@ -93,19 +94,20 @@ class Watchdog:
         """Name the watched processes that are silent and whose silence is their own fault.
 
         The router has no heartbeat: when nobody at all is heard, it alone is suspected, and nobody is if it
-        runs on another machine.
+        runs on another machine. Heartbeats do not stop at one moment, so that well before it is silent for
+        long enough nobody else is suspected either.
         """
         if not self._heard_ns:
             return ()  # the cell is only just starting
         silent = tuple(name for name in self._config.watches if self._is_silent(name, now_ns))
-        if self._is_silent(ROUTER, now_ns):
+        if self._is_quiet(now_ns):
             return tuple(name for name in silent if name == ROUTER)
         return silent
 
     def _hear(self, now_ns: int, names: list[str]) -> None:
         """Note who spoke; silence that our own sleep or a broken bus explains is forgiven to everybody."""
         slept = self._last_step_ns is not None and now_ns - self._last_step_ns > ASLEEP_NS
-        bus_is_back = self._is_silent(ROUTER, now_ns) and bool(names)
+        bus_is_back = self._is_quiet(now_ns) and bool(names)
         if slept or bus_is_back:
             self._heard_ns = dict.fromkeys(self._heard_ns, now_ns)
         self._heard_ns.update(dict.fromkeys(names, now_ns))
@@ -113,6 +115,9 @@ class Watchdog:
 
     def _is_silent(self, name: str, now_ns: int) -> bool:
         return self._silent_s(name, now_ns) > self._config.silent_s
+
+    def _is_quiet(self, now_ns: int) -> bool:
+        return self._silent_s(ROUTER, now_ns) > min(QUIET_S, self._config.silent_s)
 
     def _silent_s(self, name: str, now_ns: int) -> float:
         """Seconds since `name` was heard, since anybody was for the router; infinite: never."""

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from common.messages import Mode
-from common.topics import ACK, STEP
-from tests.faults.cell import LiveCell, free_ports, wait
+from common.topics import ACK, HEALTH, STEP
+from tests.faults.cell import PATIENCE_S, LiveCell, free_ports, wait
 
 pytestmark = [pytest.mark.processes, pytest.mark.timeout(400)]
 
@@ -46,17 +46,20 @@ def dialled_from(port):
 def test_three_machines_form_one_cell_and_finish_five_episodes(machines):
     control, learning, perception = machines
     control.up()
-    learning.do("up")
-    perception.do("up")
+    starting = [machine.begin("up") for machine in (learning, perception)]
+    for process in starting:
+        out, _ = process.communicate(timeout=2 * PATIENCE_S)
+        assert process.returncode == 0, out
     ear = control.heard
     assert dialled_from(control.port) == set(ADDRESSES.values())
-    for cell in machines:
-        assert "NOT HEARD" not in cell.do("status")
+    assert {s.message.config_hash for s in ear.samples(HEALTH)} == {ear.health("sim").config_hash}
     wait(lambda: control.processes()["curriculum"].finished, "the end of the run")
     ends = [s.message for s in ear.samples(STEP) if s.message.last]
     assert [step.mode for step in ends] == [Mode.RANDOM] * 2 + [Mode.PLAN] * EPISODES
     assert {s.message.episode for s in ear.samples(ACK)} == {step.episode for step in ends}
     assert ear.field("viewer", "drawn") > 0
+    status = control.do("status")  # all is well, on the other machines too
+    assert all(name in status for name in ("planner", "watchdog_learning", "watchdog_perception"))
     assert (learning.run_dir / "learner" / "snapshot.safetensors").exists()
     assert (control.run_dir / "episodes.jsonl").exists()
     assert list(perception.run_dir.glob("*.rrd"))

@@ -94,6 +94,16 @@ def test_when_nobody_is_heard_the_router_is_to_blame() -> None:
     assert bench.supervisor.restarted == []
 
 
+def test_a_router_that_freezes_between_two_heartbeats_is_still_the_one_to_blame() -> None:
+    bench = Bench("router", "sim", "planner")
+    bench.run(10, "sim", "planner")
+    bench.run(1, "planner")  # the sim's last heartbeats did not get through any more
+    bench.run(10)
+    assert bench.supervisor.restarted == ["router"]
+    bench.run(3, "planner")  # and the first one to be heard again is no reason to blame the other
+    assert bench.supervisor.restarted == ["router"]
+
+
 def test_when_another_machines_router_is_gone_nobody_is_restarted() -> None:
     bench = Bench("planner", "learner")
     bench.run(3, "planner", "learner", "sim")
