@@ -53,7 +53,12 @@ class LearnerConfig(Frozen):
     """How the ensemble is trained between episodes."""
 
     loss: LossConfig = Field(default_factory=LossConfig)
-    learning_rate: float = Field(default=1e-3, gt=0.0, description="Adam; 4e-4 suits reach after the warm-up")
+    learning_rate: float = Field(
+        default=1e-3, gt=0.0, description="Adam's in the first update, on the warm-up data"
+    )
+    later_learning_rate: float = Field(
+        default=1e-3, gt=0.0, description="Adam's in the updates after the first one"
+    )
     schedule: Literal["constant", "cosine"] = Field(
         default="constant", description="cosine: the rate falls to 0 over each update; suits reach"
     )

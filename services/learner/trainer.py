@@ -214,10 +214,12 @@ class Trainer:
         return self._train_masks.pick(self.config.batch, self._generator)
 
     def _rate(self) -> float:
+        first = self.updates + self.remaining == self._planned
+        rate = self.config.learning_rate if first else self.config.later_learning_rate
         if self.config.schedule == "constant":
-            return self.config.learning_rate
+            return rate
         done = 1.0 - self.remaining / self._planned
-        return self.config.learning_rate * 0.5 * (1.0 + math.cos(math.pi * done))
+        return rate * 0.5 * (1.0 + math.cos(math.pi * done))
 
     def _draw_masks(self, size: int) -> MaskPool:
         model = self.model

@@ -18,8 +18,9 @@ _BETA1, _BETA2, _EPSILON = 0.9, 0.999, 1e-8
 def refine(
     score: Score, score_and_gradient: ScoreAndGradient, start: Tensor, steps: int, rate: float
 ) -> Found:
-    """Climb from each sequence of `start` (N, K, A) with `steps` Adam steps of `rate`, within [-1, 1].
+    """Climb from each sequence of `start` (N, K, A) with `steps` Adam steps, within [-1, 1].
 
+    The step size falls linearly from `rate` to nearly zero, or the last steps would jump about the optimum.
     Of each sequence the best point seen is kept, so no refinement is worse than its start; a sequence whose
     score or gradient is not finite takes no step. Returns all usable ones, best first.
     """
@@ -33,7 +34,8 @@ def refine(
         gradient = torch.where(sound[:, None, None], gradient, 0.0)
         first = torch.where(sound[:, None, None], first.lerp(gradient, 1 - _BETA1), first)
         second = torch.where(sound[:, None, None], second.lerp(gradient.square(), 1 - _BETA2), second)
-        point = _adam_step(point, first, second, step, rate * sound[:, None, None])
+        falling = rate * (steps - step + 1) / steps
+        point = _adam_step(point, first, second, step, falling * sound[:, None, None])
     best, best_score = _keep_best(best, best_score, point, score(point))
     elites, scores = top(best, best_score, len(best))
     return Found(elites[0], elites, scores, valid=True) if len(elites) else nothing(start[0])
