@@ -19,7 +19,8 @@ H = 8
 
 
 def config(**values) -> PlannerConfig:
-    return PlannerConfig(**({"preset": "fast", "horizon": H, "knots": 0, "smooth_weight": 0.0} | values))
+    fixed = {"preset": "fast", "horizon": H, "knots": 0, "smooth_weight": 0.0, "iterations": 2}
+    return PlannerConfig(**(fixed | values))
 
 
 def planner(settings: PlannerConfig, model: Linear | None = None, **weights: float) -> Mpc:

@@ -161,7 +161,7 @@ def with_gradient(score):
 
 def test_refinement_climbs_to_the_optimum_and_stays_within_bounds():
     score = quadratic(OUTSIDE)
-    found = refine(score, with_gradient(score), torch.zeros(3, *SHAPE), steps=60, rate=0.08)
+    found = refine(score, with_gradient(score), torch.zeros(3, *SHAPE), steps=60, rate=0.15)
     assert found.valid
     assert (found.best - OUTSIDE.clamp(-1, 1)).abs().max() < 0.02
 
@@ -180,7 +180,7 @@ def test_a_broken_gradient_takes_no_step_and_leaves_the_others_alone():
         gradient[0] = math.nan
         return values, gradient
 
-    found = refine(score, both, torch.zeros(2, *SHAPE), steps=60, rate=0.08)
+    found = refine(score, both, torch.zeros(2, *SHAPE), steps=60, rate=0.15)
     assert (found.best - INSIDE).abs().max() < 0.04
     assert torch.equal(found.elites[1], torch.zeros(SHAPE))
 
