@@ -35,6 +35,7 @@ from common.bus_config import BusConfig
 from common.cell import ControlConfig, LogConfig, SharedConfig
 from common.messages import Episode, Header, Health, Mode, Warmup
 from common.model.config import ModelConfig
+from common.plant_loop import Phase
 from common.topics import EPISODE, HEALTH
 from common.zenoh_bus import ZenohBus
 from common.zenoh_router import BusError
@@ -42,7 +43,6 @@ from services.learner.build import LearnerProcess
 from services.learner.config import LearnerConfig
 from services.planner.config import PlannerConfig
 from services.sim.build import SimProcess
-from services.sim.service import Phase
 
 ROOT = Path(__file__).parents[1]
 START_S = 120.0  # for all processes together to come up, on a busy laptop

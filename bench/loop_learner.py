@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from common.warmup import WarmupActions
 from services.learner.dataset import EpisodeStore
 from services.learner.episode import Episode
 from services.sim.plant import ShadowHandPlant
-from services.sim.warmup import WarmupActions
 
 STEPS = 50  # of an episode, as in the paper's tasks
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from common.codec import Codec
@@ -13,10 +13,13 @@ from common.task import get_task
 
 @dataclass(frozen=True)
 class Built:
-    """A service and the devices that its runner owns."""
+    """A service, the devices that its runner owns, and by key who answers queries, on any thread."""
 
     service: Service
     ports: Mapping[str, Port] = field(default_factory=dict[str, Port])
+    queries: Mapping[str, Callable[[bytes], bytes]] = field(
+        default_factory=dict[str, Callable[[bytes], bytes]]
+    )
 
 
 def codec_for(task_name: str) -> Codec:

@@ -1,4 +1,4 @@
-"""The die: size, faces, pips and colours, its surface as a mesh and as pictures; twin and perception share it.
+"""The die: size, faces, pips, colours, its surface as a mesh and as pictures; for twin and perception.
 
 Letters: F 6 faces, N pixels a side, V vertices, T triangles. Metres; the die's frame has its origin in the
 centre and its axes through the faces.
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from common import geometry
 
 Float64 = NDArray[np.float64]
-Vector = tuple[float, float, float]
 Rgb = tuple[int, int, int]
 
 FACES = 6
@@ -135,20 +134,21 @@ class Die:
         return np.concatenate([-rim[::-1], rim])
 
     def uppermost(self, q: Float64, up: Sequence[float]) -> NDArray[np.int64]:
-        """The face, 1 to 6, that looks most towards `up` (3,), given in the frame that `q` (..., 4) maps to."""
+        """The face, 1 to 6, that looks most towards `up` (3,), in the frame that `q` (..., 4) maps to."""
         seen = geometry.rotate(geometry.conjugate(q), np.asarray(up, np.float64))
         return np.argmax(seen @ self.normals.T, axis=-1) + 1
 
-    def face_up(self, face: int, up: Sequence[float], start: Sequence[float]) -> Float64:
-        """The rotation (4,) nearest to `start` (4,) that turns `face` towards `up` (3,)."""
-        q, wanted = np.array(start, np.float64), np.array(up, np.float64)
+    def turned(self, face: int, towards: Sequence[float], start: Sequence[float]) -> Float64:
+        """The rotation (4,) nearest to `start` (4,) with which `face` looks towards a direction (3,)."""
+        q, wanted = np.array(start, np.float64), np.array(towards, np.float64)
         return geometry.multiply(_shortest(geometry.rotate(q, self.normals[face - 1]), wanted, q), q)
 
-    def faces_up(self, face: int, up: Sequence[float], start: Sequence[float], yaws: int = 4) -> Float64:
-        """Rotations (yaws, 4) with `face` towards `up` (3,), evenly turned about it, the first from `face_up`."""
-        turns = np.arange(yaws) * (2 * math.pi / yaws)
-        about = geometry.from_axis_angle(np.broadcast_to(np.array(up, np.float64), (yaws, 3)), turns)
-        return geometry.multiply(about, np.broadcast_to(self.face_up(face, up, start), (yaws, 4)))
+    def turns(self, face: int, towards: Sequence[float], start: Sequence[float], count: int) -> Float64:
+        """Rotations (count, 4), the first as from `turned`, the others evenly about that direction."""
+        axis = np.broadcast_to(np.array(towards, np.float64), (count, 3))
+        about = geometry.from_axis_angle(axis, np.arange(count) * (2 * math.pi / count))
+        first = self.turned(face, towards, start)
+        return geometry.multiply(about, np.broadcast_to(first, (count, 4)))
 
 
 DIE = Die()
@@ -168,4 +168,5 @@ def _shortest(source: Float64, target: Float64, q: Float64) -> Float64:
 def _grid_triangles(side: int) -> NDArray[np.int32]:
     """Two triangles for each cell of a grid of `side` x `side` points, numbered row by row: (T, 3)."""
     first = np.add.outer(side * np.arange(side - 1), np.arange(side - 1)).ravel()[:, None]
-    return np.concatenate([first + [0, 1, side + 1], first + [0, side + 1, side]]).astype(np.int32)
+    halves = np.array([[0, 1, side + 1], [0, side + 1, side]])
+    return np.concatenate([first + half for half in halves]).astype(np.int32)

@@ -11,36 +11,19 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
+from common.hand_messages import (
+    ArmReply,
+    ArmRequest,
+    HandCommand,
+    HandFrame,
+    HandJoints,
+    ObjectPose,
+    TwinCommand,
+    TwinFrame,
+)
+from common.message_fields import ArraySpec, BootId, Count, Float32, Range, UInt8
 
 VERSION = 1
-
-Float32 = NDArray[np.float32]
-UInt8 = NDArray[np.uint8]
-
-
-@dataclass(frozen=True)
-class ArraySpec:
-    """What the codec demands of an array: little-endian dtype, shape letters or numbers, unit, bounds."""
-
-    dtype: str
-    shape: tuple[str | int, ...]
-    unit: str
-    limit: float = 1e6  # largest accepted magnitude; non-finite values are always refused
-
-
-@dataclass(frozen=True)
-class Range:
-    """Closed interval that the codec demands of a number."""
-
-    low: float
-    high: float
-    unit: str = ""
-
-
-Count = Annotated[int, Range(0, 2**62)]
-BootId = Annotated[int, Range(1, 2**62)]
 
 
 class Mode(StrEnum):
@@ -218,124 +201,10 @@ class PlantFrame:
     reset: bool
 
 
-class PoseSource(StrEnum):
-    """Who tells where the object is; exactly one in a cell."""
-
-    TWIN = "twin"  # the physics behind the emulated hand
-    CAMERA = "camera"
-
-
-@dataclass(frozen=True)
-class ObjectPose:
-    """`object/pose`: the die in the palm frame; the header's t_ns is when it was seen, not when it was sent."""
-
-    position: Annotated[Float32, ArraySpec("<f4", (3,), "m, palm frame")]
-    rotation: Annotated[Float32, ArraySpec("<f4", (4,), "quaternion wxyz, palm frame", limit=2.0)]
-    covariance: Annotated[Float32, ArraySpec("<f4", (6, 6), "m² and rad², translation first")]
-    quality: Annotated[float, Range(0, 1)]  # share of what should be seen that is
-    label_posterior: Annotated[Float32, ArraySpec("<f4", (24,), "probability per labelling", limit=1.0)]
-    source: PoseSource
-
-
-class Drive(StrEnum):
-    """What the driver of the hand makes the motors do."""
-
-    OFF = "off"  # no torque; the hand only reports
-    HOLD = "hold"  # stay at the present set point
-    FOLLOW = "follow"  # go to the commanded action
-
-
-class Link(StrEnum):
-    """Whether the hand's bus can be used."""
-
-    DOWN = "down"
-    UP = "up"
-    BUS_OFF = "bus_off"  # until a board has been heard again
-
-
-@dataclass(frozen=True)
-class HandCommand:
-    """`port/hand/command`: what the driver does until the next command; its own silence ends in no torque."""
-
-    drive: Drive
-    action: Annotated[Float32, ArraySpec("<f4", ("E",), "normalised, or empty", limit=1.0)]
-    duration_ns: Count  # of the way to `action`
-
-
-_MOTORS = ("<f4", (12,))
-
-
-@dataclass(frozen=True)
-class HandFrame:
-    """`port/hand`: what the hand last reported and what the driver last sent.
-
-    12 motors, 6 boards, 5 fingertips (thumb first) in the order of common.dexhand021.tables; what is not
-    valid keeps its last value, or 0 before there was one.
-    """
-
-    t_ns: Count  # when this was put together; board i was heard `age_ms[i]` before
-    link: Link
-    drive: Drive
-    angle_rad: Annotated[Float32, ArraySpec(*_MOTORS, "rad")]
-    target_rad: Annotated[Float32, ArraySpec(*_MOTORS, "rad, as sent")]
-    enabled: Annotated[UInt8, ArraySpec("|u1", (12,), "motor has torque", limit=1)]
-    limited: Annotated[UInt8, ArraySpec("|u1", (12,), "target is not what was asked for", limit=1)]
-    current_ma: Annotated[Float32, ArraySpec(*_MOTORS, "mA")]
-    flags: Annotated[UInt8, ArraySpec("|u1", (12,), "error bits of a motor")]
-    force_n: Annotated[Float32, ArraySpec("<f4", (5,), "N, normal force")]
-    force_valid: Annotated[UInt8, ArraySpec("|u1", (5,), "0 or 1", limit=1)]
-    temperature_c: Annotated[Float32, ArraySpec("<f4", (6,), "°C")]
-    temperature_valid: Annotated[UInt8, ArraySpec("|u1", (6,), "0 or 1", limit=1)]
-    age_ms: Annotated[Float32, ArraySpec("<f4", (6,), "ms since a board was heard; 1e6: never")]
-    rate_hz: Annotated[Float32, ArraySpec("<f4", (6,), "replies a second")]
-    overheated: Annotated[UInt8, ArraySpec("|u1", (6,), "board said so and is not cool again", limit=1)]
-    counts: dict[str, float]  # what the driver and the limits count
-
-
-@dataclass(frozen=True)
-class HandJoints:
-    """`hand/joints`: a real hand for people; shapes and order as in HandFrame."""
-
-    state: str  # of the arming
-    faults: tuple[str, ...]
-    q_rad: Annotated[Float32, ArraySpec(*_MOTORS, "rad")]
-    target_rad: Annotated[Float32, ArraySpec(*_MOTORS, "rad, as sent")]
-    current_ma: Annotated[Float32, ArraySpec(*_MOTORS, "mA")]
-    flags: Annotated[UInt8, ArraySpec("|u1", (12,), "error bits of a motor")]
-    force_n: Annotated[Float32, ArraySpec("<f4", (5,), "N, normal force")]
-    force_valid: Annotated[UInt8, ArraySpec("|u1", (5,), "0 or 1", limit=1)]
-    temperature_c: Annotated[Float32, ArraySpec("<f4", (6,), "°C")]
-    temperature_valid: Annotated[UInt8, ArraySpec("|u1", (6,), "0 or 1", limit=1)]
-    board_age_ms: Annotated[Float32, ArraySpec("<f4", (6,), "ms since a board was heard")]
-
-
-class ArmWish(StrEnum):
-    """What a person may ask of a real hand."""
-
-    ARM = "arm"
-    DISARM = "disarm"
-    STATUS = "status"
-
-
-@dataclass(frozen=True)
-class ArmRequest:
-    """`port/arm`: a person's wish, as it came in with the query `hand/arm`."""
-
-    wish: ArmWish
-
-
-@dataclass(frozen=True)
-class ArmReply:
-    """`port/arm/reply`: the answer to that query."""
-
-    accepted: bool
-    state: str
-    reason: str
-
-
 BusMessage = Step | Chunk | Episode | Ack | SnapshotMessage | Metrics | Health | ObjectPose | HandJoints
 PortMessage = PlantCommand | PlantFrame | HandCommand | HandFrame | ArmRequest | ArmReply
-Message = BusMessage | PortMessage
+TwinMessage = TwinCommand | TwinFrame
+Message = BusMessage | PortMessage | TwinMessage
 
 
 @dataclass(frozen=True)

@@ -57,6 +57,8 @@ def _serve(built: Built, config: SharedConfig, boot_id: int) -> int:
         print(f"{name}: {error}", file=sys.stderr)
         return 3
     ClockServer(bus, name)
+    for key, answer in built.queries.items():
+        bus.serve(key, answer)
     dispatcher = Dispatcher(
         built.service, codec_for(config.task), bus, built.ports, _log(name, config, boot_id)
     )

@@ -70,7 +70,11 @@ class Service(Protocol):
     name: str
     inputs: tuple[Input, ...]
     period_ns: int | None  # None: only woken by inputs and results
-    boot_id: int
+
+    @property
+    def boot_id(self) -> int:
+        """Id of this start, which all its messages carry."""
+        ...
 
     def step(self, now_ns: int, inbox: Inbox) -> list[Output]:
         """Advance by one step; must return within a few milliseconds."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from common import messages
+from common import hand_messages, messages
 from common.messages import Message
 
 
@@ -61,8 +61,8 @@ SNAPSHOT = Topic(
     max_bytes=256 * 1024 * 1024,
 )
 HEALTH = Topic("health/*", messages.Health, "heartbeat of a main loop", rate_hz=2.0, latched=1)
-OBJECT_POSE = Topic("object/pose", messages.ObjectPose, "the die in the palm frame", rate_hz=30.0)
-HAND_JOINTS = Topic("hand/joints", messages.HandJoints, "a real hand, joint by joint, for the dashboard")
+OBJECT_POSE = Topic("object/pose", hand_messages.ObjectPose, "the die in the palm frame", rate_hz=30.0)
+HAND_JOINTS = Topic("hand/joints", hand_messages.HandJoints, "a real hand, joint by joint, for the dashboard")
 
 TOPICS: tuple[Topic, ...] = (
     STEP,
@@ -79,11 +79,22 @@ TOPICS: tuple[Topic, ...] = (
 # Ports are private to a runner; they stand here because their frames are logged and replayed alike.
 PLANT_COMMAND = Topic("port/plant/command", messages.PlantCommand, "to the simulated hand")
 PLANT_FRAME = Topic("port/plant", messages.PlantFrame, "from the simulated hand")
-HAND_COMMAND = Topic("port/hand/command", messages.HandCommand, "to the driver of the real hand")
-HAND_FRAME = Topic("port/hand", messages.HandFrame, "from the driver of the real hand")
-ARM_REQUEST = Topic("port/arm", messages.ArmRequest, "a person's wish, from the query hand/arm")
-ARM_REPLY = Topic("port/arm/reply", messages.ArmReply, "the answer to that query")
-PORTS: tuple[Topic, ...] = (PLANT_COMMAND, PLANT_FRAME, HAND_COMMAND, HAND_FRAME, ARM_REQUEST, ARM_REPLY)
+HAND_COMMAND = Topic("port/hand/command", hand_messages.HandCommand, "to the driver of the real hand")
+HAND_FRAME = Topic("port/hand", hand_messages.HandFrame, "from the driver of the real hand")
+ARM_REQUEST = Topic("port/arm", hand_messages.ArmRequest, "a person's wish, from the query hand/arm")
+ARM_REPLY = Topic("port/arm/reply", hand_messages.ArmReply, "the answer to that query")
+TWIN_COMMAND = Topic("port/twin/command", hand_messages.TwinCommand, "to the physics behind emulated boards")
+TWIN_FRAME = Topic("port/twin", hand_messages.TwinFrame, "from the physics behind emulated boards")
+PORTS: tuple[Topic, ...] = (
+    PLANT_COMMAND,
+    PLANT_FRAME,
+    HAND_COMMAND,
+    HAND_FRAME,
+    ARM_REQUEST,
+    ARM_REPLY,
+    TWIN_COMMAND,
+    TWIN_FRAME,
+)
 
 
 def topic_of(key: str) -> Topic:

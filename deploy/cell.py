@@ -5,21 +5,26 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import yaml
 from pydantic import Field, model_validator
 
+from common.can_config import CanConfig
 from common.cell import SharedConfig
 from common.config import ConfigError, Frozen, digest, load
+from common.dexhand021.config import DexHandConfig
+from common.hand_messages import PoseSource
 from common.model.config import ModelConfig
 from deploy.curriculum_config import CurriculumConfig
-from deploy.processes import NAMES, PROCESSES, WATCHDOG, process_of
+from deploy.processes import NAMES, WATCHDOG, process_of, processes_of
 from deploy.supervisor import REPOSITORY, RunFiles, check_paths
 from deploy.viewer.config import ViewerConfig
 from deploy.watchdog_config import WatchdogConfig
+from services.hand_io.config import HandIoConfig
 from services.learner.config import LearnerConfig
 from services.planner.config import PlannerConfig
+from services.sim.emulator_config import EmulatorConfig
 
 CELLS_DIR = Path(__file__).parent / "cells"
 ALL_LOCAL = "local"
@@ -44,6 +49,15 @@ class Cell(SharedConfig):
     curriculum: CurriculumConfig = CurriculumConfig()
     viewer: ViewerConfig = ViewerConfig()
     watchdog: WatchdogConfig = WatchdogConfig()
+    plant: Literal["sim", "twin", "hand"] = Field(
+        default="sim",
+        description="sim: all in simulation; twin: hand_io drives an emulated hand; hand: a real one",
+    )
+    can: CanConfig = CanConfig()
+    hand: DexHandConfig = DexHandConfig()
+    hand_io: HandIoConfig = HandIoConfig()
+    emulator: EmulatorConfig = EmulatorConfig()
+    pose_source: PoseSource = Field(default=PoseSource.TWIN, description="who tells where the die is")
     machines: dict[str, Machine] = Field(default={}, description="empty: everything runs on one machine")
 
     @model_validator(mode="before")
@@ -83,14 +97,29 @@ def _method_problems(cell: Cell) -> Iterable[str]:
         yield f"learner.loss.decay: {len(model.hidden) + 1} values wanted, one per layer of model.hidden"
 
 
-def _machine_problems(machines: Mapping[str, Machine]) -> Iterable[str]:
+def _hand_problems(cell: Cell) -> Iterable[str]:
+    if cell.plant == "sim":
+        return
+    if cell.task != "die":
+        yield f"task: {cell.task} is none for the DexHand 021; it has: die"
+    if cell.plant == "twin" and not cell.can.simulated:
+        yield f"can.interface: an emulated hand has no place on {cell.can.interface}"
+    if cell.plant == "hand" and cell.pose_source is PoseSource.TWIN:
+        yield "pose_source: only an emulated hand has a twin that knows where the die is"
+    if cell.hand_io.auto_arm and not cell.can.simulated:
+        yield "hand_io.auto_arm: a hand that can hurt is armed by a person (deploy.arm)"
+
+
+def _machine_problems(cell: Cell) -> Iterable[str]:
+    machines = cell.machines
     counts = Counter(name for machine in machines.values() for name in machine.services)
     for name in counts:
         if name not in NAMES:
             yield f"machines: {name} is no service; choose from {' '.join(NAMES)}"
         elif counts[name] > 1 and name != WATCHDOG:
             yield f"machines: {name} runs on {counts[name]} machines; it must be on one"
-    missing = [process.name for process in PROCESSES if process.required and process.name not in counts]
+    wanted = processes_of(cell.plant)
+    missing = [process.name for process in wanted if process.required and process.name not in counts]
     if machines and missing:
         yield f"machines: {' '.join(missing)} runs on no machine"
     if ALL_LOCAL in machines:
@@ -116,7 +145,7 @@ def load_cell(text: str, overrides: Iterable[str] = ()) -> Cell:
     """
     path = find_cell(text)
     cell = load(Cell, path, overrides)
-    problems = [*_method_problems(cell), *_machine_problems(cell.machines)]
+    problems = [*_method_problems(cell), *_hand_problems(cell), *_machine_problems(cell)]
     if problems:
         raise ConfigError([f"{path.name}: {problem}" for problem in problems])
     return cell.model_copy(
@@ -144,13 +173,14 @@ def _loopback(endpoint: str) -> str:
 
 def instances_of(cell: Cell, machine: str) -> tuple[str, ...]:
     """Name the processes of one machine in order of start. Raises ConfigError for an unknown machine."""
+    names = tuple(process.name for process in processes_of(cell.plant))
     if machine == ALL_LOCAL:
-        return NAMES
+        return names
     if machine not in cell.machines:
         known = " ".join(cell.machines) or "none: leave the machine out"
         raise ConfigError([f"{machine}: no such machine in cell {cell.cell}; its machines: {known}"])
     services = cell.machines[machine].services
-    return tuple(f"{name}_{machine}" if name == WATCHDOG else name for name in NAMES if name in services)
+    return tuple(f"{name}_{machine}" if name == WATCHDOG else name for name in names if name in services)
 
 
 def process_config(cell: Cell, instance: str, machine: str = ALL_LOCAL) -> dict[str, Any]:

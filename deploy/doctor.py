@@ -1,4 +1,7 @@
-"""`python -m deploy.doctor [CELL] [--set a.b=c]`: is a running cell in order? Changes nothing."""
+"""`python -m deploy.doctor [can] [CELL] [--set a.b=c]`: is a running cell (or its hand) in order?
+
+Changes nothing.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,15 @@ import argparse
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 
 from common.clock_offset import measure_offset
 from common.config import ConfigError
 from common.zenoh_bus import ZenohBus
 from common.zenoh_router import BusError
+from deploy import doctor_can
 from deploy.cell import ALL_LOCAL, Cell, instances_of, load_cell, on_this_machine
+from deploy.checks import Check
 from deploy.monitor import Heard, Monitor
 from deploy.processes import process_of
 
@@ -24,27 +28,15 @@ OFFSET_LIMIT_MS = 2.0
 ROUND_TRIP_LIMIT_MS = 20.0
 
 
-@dataclass(frozen=True)
-class Check:
-    """One line of the report."""
-
-    ok: bool
-    about: str
-    found: str
-    advice: str = ""
-
-    def __str__(self) -> str:
-        """Lay the line out."""
-        advice = "" if self.ok or not self.advice else f" -> {self.advice}"
-        return f"{'ok  ' if self.ok else 'FAIL'}  {self.about:24}{self.found}{advice}"
-
-
 def main(argv: list[str] | None = None) -> int:
     """Print one line per check; 1 if any failed."""
+    arguments = sys.argv[1:] if argv is None else argv
+    if arguments[:1] == ["can"]:
+        return doctor_can.main(arguments[1:])
     parser = argparse.ArgumentParser(prog="python -m deploy.doctor", description=__doc__)
     parser.add_argument("cell", nargs="?", default="reach", help="a file, or a name in deploy/cells")
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="a.b=c")
-    options = parser.parse_args(argv)
+    options = parser.parse_args(arguments)
     failed = False
     for check in checks(options.cell, options.overrides):
         print(check, flush=True)

@@ -14,6 +14,7 @@ class Process:
     module: str
     kind: Literal["bus", "plant", "method", "operator"]
     stop_wave: int  # all of one wave are stopped together, wave 0 first
+    plants: tuple[str, ...] = ()  # runs in cells with one of these plants; empty: in all
     sections: tuple[str, ...] = ()  # of the cell, beside those that every process has
     needs: tuple[str, ...] = ("router",)  # started before it
     heartbeat: bool = True  # publishes health; a process without it shows by what it makes possible
@@ -36,7 +37,24 @@ PROCESSES: tuple[Process, ...] = (
         start_deadline_s=30.0,
         warm_up_s=5,
     ),
-    Process("sim", "services.sim", "plant", stop_wave=1),
+    Process("sim", "services.sim", "plant", stop_wave=1, plants=("sim",)),
+    Process(
+        "emulator",
+        "services.sim.emulator",
+        "plant",
+        stop_wave=2,  # after what drives it, as a hand would be there still
+        plants=("twin",),
+        sections=("can", "hand", "emulator", "pose_source"),
+    ),
+    Process(
+        "hand_io",
+        "services.hand_io",
+        "plant",
+        stop_wave=1,
+        plants=("twin", "hand"),
+        sections=("can", "hand", "hand_io", "pose_source"),
+        watchdog_restarts=False,
+    ),
     Process("planner", "services.planner", "method", stop_wave=0, sections=("planner",)),
     Process("learner", "services.learner", "method", stop_wave=0, sections=("model", "learner")),
     Process("viewer", "deploy.viewer", "operator", stop_wave=2, sections=("viewer",), required=False),
@@ -55,7 +73,7 @@ PROCESSES: tuple[Process, ...] = (
         "operator",
         stop_wave=0,
         sections=("curriculum",),
-        needs=("router", "sim", "planner", "learner"),
+        needs=("router", "sim", "emulator", "hand_io", "planner", "learner"),  # those that the cell has
         warm_up_s=0,  # a run that is taken up again may be finished at once
         autorestart="on_error",
     ),
@@ -63,6 +81,11 @@ PROCESSES: tuple[Process, ...] = (
 
 NAMES: tuple[str, ...] = tuple(process.name for process in PROCESSES)
 WATCHDOG = "watchdog"
+
+
+def processes_of(plant: str) -> tuple[Process, ...]:
+    """The rows of a cell with this plant, in order of start."""
+    return tuple(process for process in PROCESSES if not process.plants or plant in process.plants)
 
 
 def process_of(instance: str) -> Process:

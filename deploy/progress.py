@@ -33,9 +33,8 @@ Fields = Mapping[str, float]
 
 def figures(heard: Mapping[str, Heard], metrics: Metrics | None) -> dict[str, str]:
     """Collect what people want to see; what nobody reports yet is shown as missing."""
-    curriculum, planner, sim, learner = (
-        _fields(heard, name) for name in ("curriculum", "planner", "sim", "learner")
-    )
+    curriculum, planner, learner = (_fields(heard, name) for name in ("curriculum", "planner", "learner"))
+    plant = _fields(heard, "hand_io") or _fields(heard, "sim")
     shown = {
         "phase": heard["curriculum"].health.state if "curriculum" in heard else MISSING,
         "episode": f"{_number(curriculum, 'episode')}/{_number(curriculum, 'episodes_total')}",
@@ -43,7 +42,7 @@ def figures(heard: Mapping[str, Heard], metrics: Metrics | None) -> dict[str, st
         "error": _error(curriculum),
         "success": _percent(curriculum, "success_rate"),
         "plan ms": f"{_number(planner, 'plan_ms_p50')}/{_number(planner, 'plan_ms_p99')}",
-        "late": f"{_number(sim, 'late_steps')} ({_percent(curriculum, 'late_share')})",
+        "late": f"{_number(plant, 'late_steps')} ({_percent(curriculum, 'late_share')})",
         "loss": _number(learner, "loss_total", ".3g"),
         "model": f"{metrics.snapshot_id[:8]} ({metrics.updates} updates)" if metrics else MISSING,
         "eta": _duration(curriculum.get("eta_s")),

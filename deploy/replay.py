@@ -21,6 +21,8 @@ from common.config import ConfigError, load
 from common.replay import Comparison, Replay, ReplayError, ReplayReport
 from deploy.curriculum import build as build_curriculum
 from deploy.curriculum_config import CurriculumProcess
+from services.hand_io.build import build as build_hand_io
+from services.hand_io.config import HandIoProcess
 from services.learner.build import LearnerProcess
 from services.learner.build import build as build_learner
 from services.planner.build import PlannerProcess
@@ -41,6 +43,7 @@ class Replayable:
 SERVICES: Mapping[str, Replayable] = MappingProxyType(
     {
         "sim": Replayable(SimProcess, build_sim),
+        "hand_io": Replayable(HandIoProcess, build_hand_io),
         "planner": Replayable(PlannerProcess, build_planner),
         "learner": Replayable(LearnerProcess, build_learner, remembers=True),
         "curriculum": Replayable(CurriculumProcess, build_curriculum, remembers=True),

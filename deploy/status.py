@@ -38,6 +38,12 @@ TALLIES = (
     ("sim", "missed_ticks"),
     ("sim", "abandoned_episodes"),
     ("sim", "unacknowledged"),
+    ("hand_io", "held_steps"),
+    ("hand_io", "late_steps"),
+    ("hand_io", "missed_ticks"),
+    ("hand_io", "abandoned_episodes"),
+    ("hand_io", "faults"),
+    ("hand_io", "late_cycles"),
     ("learner", "incomplete_episodes"),
     ("curriculum", "lost_episodes"),
 )

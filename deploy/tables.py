@@ -30,14 +30,19 @@ from deploy.processes import PROCESSES, Process
 from deploy.supervisor import REPOSITORY
 from deploy.viewer.service import ViewerService
 from deploy.watchdog import Watchdog
+from services.hand_io.service import HandIoService
 from services.learner.service import LearnerService
 from services.planner.service import PlannerService
+from services.sim.emulator_service import EmulatorService
+from services.sim.gym_env import ENV_ID as DEXHAND_ENV_ID
 from services.sim.plant import ENV_IDS
 from services.sim.service import SimService
 
 READERS: Mapping[str, type[Service]] = types.MappingProxyType(
     {
         "sim": SimService,
+        "hand_io": HandIoService,
+        "emulator": EmulatorService,
         "planner": PlannerService,
         "learner": LearnerService,
         "curriculum": CurriculumService,
@@ -229,7 +234,7 @@ def _task_row(task: Task) -> Row:
     groups = "; ".join(f"{g.name} [{g.start}:{g.stop}], {g.unit}" for g in task.groups)
     return (
         task.name,
-        code(ENV_IDS[task.name]),
+        code(ENV_IDS.get(task.name, DEXHAND_ENV_ID)),
         *map(str, (task.state_dim, task.action_dim, task.goal_dim)),
         groups,
     )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,28 +15,33 @@ from common.geometry import Array, namespace
 from common.task.layout import Group
 from common.task.manipulate import ManipulateTask
 
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
 # A joint pushed beyond its range, a blow on a fingertip, a die on the table below the hand: all within.
 DIE_GROUPS = (
     Group("qpos", 0, 12, "rad", -1.0, 3.5),
-    Group("tip_force", 12, 17, "N", -50.0, 100.0),
+    Group("tip_force", 12, 17, "N", -50.0, 200.0),
     Group("object_position", 17, 20, "m", -1.0, 1.0),
     Group("object_rotation", 20, 24, "1", 0.5, 1.5, "quaternion"),
 )
 TACTILE_FINGERS = tuple(board.name for board in BOARDS if board.has_tactile)
 JOINT_NAMES = tuple(joint.name for joint in JOINTS)
 GOAL_FACES = (2, 4, 5)
-
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
+OUT_OF_PALM: Vector = (1.0, 0.0, 0.0)
+# Paper: how the hand is mounted is not said. Palm up, turned about its long axis so that the thumb is the
+# lower side: a die that is rolled to either side then stays within reach.
+MOUNT_ROLL_RAD = math.radians(15.0)
 
 
 @dataclass(frozen=True)
 class DieTask(ManipulateTask):
-    """State (24,): 12 joint angles, 5 fingertip normal forces, die position 3 and rotation 4; goal (7,): pose.
+    """State (24,): 12 joint angles, 5 fingertip normal forces, die's position 3 and rotation 4; goal (7,).
 
     Poses are those of the die in the palm's frame: +z to the fingertips, +x out of the palm, +y to the
     thumb of a right hand. `up` is where the world's up is in that frame; the hand has no wrist to change it.
-    `start_position` (3,) and `start_rotation` (4,) are the fixed initial pose: 1 up, 2 to the fingertips.
+    `start_position` (3,) and `start_rotation` (4,) are the fixed initial pose: flat on the palm, 1 up, 2 to
+    the fingertips; in a right hand 4 is then on the thumb's side.
     """
 
     action_dim: int = len(JOINT_NAMES)
@@ -47,8 +53,8 @@ class DieTask(ManipulateTask):
     drop_penalty: float = 2.0
     drop_height_m: float = 0.0
     die: Die = field(default=DIE)
-    up: Vector = (1.0, 0.0, 0.0)
-    start_position: Vector = (0.0555, -0.018, 0.138)
+    up: Vector = (math.cos(MOUNT_ROLL_RAD), -math.sin(MOUNT_ROLL_RAD), 0.0)
+    start_position: Vector = (0.055, 0.0, 0.154)
     start_rotation: Quaternion = (0.5**0.5, 0.5**0.5, 0.0, 0.0)
 
     def dropped(self, state: Array) -> Array:
@@ -74,7 +80,8 @@ class DieTask(ManipulateTask):
     def errors(self, state: Array, goal: Array) -> dict[str, Array]:
         """Distance (m), shortest angle (rad), and how far the wanted face leans away (rad), each (...)."""
         xp = namespace(state)
-        lean = xp.sum(self._seen_up(self._rotation(state)) * self._seen_up(goal[..., 3:]), axis=-1)
+        seen, wanted = (_seen(q, OUT_OF_PALM) for q in (self._rotation(state), goal[..., 3:]))
+        lean = xp.sum(seen * wanted, axis=-1)
         return {
             "position_m": self._position_error(state, goal),
             "rotation_rad": geometry.angle(self._rotation(state), goal[..., 3:]),
@@ -82,40 +89,41 @@ class DieTask(ManipulateTask):
         }
 
     def successes(self, state: Array, goal: Array) -> dict[str, Array]:
-        """bool (...) in the hand: the goal's face uppermost (`paper`), and within 0.5 rad of its pose (`env`).
+        """bool (...), in the hand: the goal's face uppermost (`paper`); within 0.5 rad of the goal (`env`).
 
         # Paper: success on the real hand is "faces 4, 5 and 2 upward" (Sec. IV-C) without a threshold.
         """
-        held = ~self.dropped(state)
-        wanted = self._uppermost(goal[..., 3:])
-        return {
-            "success_paper": held & (self._uppermost(self._rotation(state)) == wanted),
-            "success_env": held & (self.errors(state, goal)["rotation_rad"] < self.paper_threshold_rad),
-        }
+        held = namespace(state).logical_not(self.dropped(state))
+        shown = self._uppermost(self._rotation(state)) == self._uppermost(goal[..., 3:])
+        close = self.errors(state, goal)["rotation_rad"] < self.paper_threshold_rad
+        return {"success_paper": held & shown, "success_env": held & close}
 
     def goal(self, face: int) -> NDArray[np.float64]:
-        """The paper's single target pose (7,) for a face: where the die starts, turned the short way."""
-        rotation = self.die.face_up(face, self.up, self.start_rotation)
-        return np.concatenate([self.start_position, rotation])
+        """The paper's single target pose (7,) for a face: the initial one, turned the short way."""
+        return self.goals(face, 1)[0]
 
-    def goals(self, face: int, yaws: int = 4) -> NDArray[np.float64]:
-        """Target poses (yaws, 7) with the face up, evenly turned about the vertical; the first is `goal`."""
-        rotations = self.die.faces_up(face, self.up, self.start_rotation, yaws)
-        return np.concatenate([np.broadcast_to(self.start_position, (yaws, 3)), rotations], axis=1)
+    def goals(self, face: int, count: int = 4) -> NDArray[np.float64]:
+        """Target poses (count, 7): flat on the palm, `face` up, turned evenly; the first is `goal`."""
+        rotations = self.die.turns(face, OUT_OF_PALM, self.start_rotation, count)
+        return np.concatenate([np.broadcast_to(self.start_position, (count, 3)), rotations], axis=1)
+
+    def mirrored(self) -> DieTask:
+        """The same for a left hand, whose thumb is on the other side."""
+        (ux, uy, uz), (x, y, z) = self.up, self.start_position
+        return replace(self, up=(ux, -uy, uz), start_position=(x, -y, z))
 
     def _below(self, pose: Array) -> Array:
-        height = sum(axis * pose[..., i] for i, axis in enumerate(self.up))
-        return height < self.drop_height_m
-
-    def _seen_up(self, q: Array) -> Array:
-        """The world's up (..., 3) in the frame of a die with rotation `q` (..., 4), palm frame."""
-        xp = namespace(q)
-        up = xp.broadcast_to(xp.asarray(self.up, dtype=q.dtype), (*q.shape[:-1], 3))
-        if xp is not np:
-            up = up.to(q.device)
-        return geometry.rotate(geometry.conjugate(geometry.normalise(q)), up)
+        ux, uy, uz = self.up
+        return ux * pose[..., 0] + uy * pose[..., 1] + uz * pose[..., 2] < self.drop_height_m
 
     def _uppermost(self, q: Array) -> Array:
         """Index (...) of the face that looks most upwards."""
-        seen = self._seen_up(q)
-        return namespace(q).argmax(namespace(q).concat([seen, -seen], axis=-1), axis=-1)
+        xp, seen = namespace(q), _seen(q, self.up)
+        return xp.argmax(xp.concat([seen, -seen], axis=-1), axis=-1)
+
+
+def _seen(q: Array, direction: Vector) -> Array:
+    """A direction of the palm's frame as dice with rotations `q` (..., 4) see it: (..., 3)."""
+    xp = namespace(q)
+    same = xp.stack([xp.full_like(q[..., 0], share) for share in direction], axis=-1)
+    return geometry.rotate(geometry.conjugate(geometry.normalise(q)), same)

@@ -7,21 +7,22 @@ from typing import Any
 import rerun as rr
 import rerun.blueprint as rrb
 
-from common.task import ReachTask, Task
+from common.task import DieTask, ReachTask, Task
 from deploy.viewer.curves import watched_of
 from deploy.viewer.others import holdout_path
 
 RECENT_STEPS = 250  # five episodes of the simulated tasks
 BACKGROUND = (22, 25, 32)
-# The direction of the environments' own camera, from nearer.
-EYE_M = (0.86, 0.67, 0.29)
-LOOK_AT_M = (1.0, 0.89, 0.17)
+# Eye and what it looks at: the direction of the environments' own camera, from nearer; for the DexHand from
+# above its wrist and thumb.
+EYE_M, LOOK_AT_M = (0.86, 0.67, 0.29), (1.0, 0.89, 0.17)
+DEXHAND_EYE_M, DEXHAND_LOOK_AT_M = (-0.12, -0.22, 0.45), (0.13, 0.0, 0.23)
 
 
 def dashboard(task: Task) -> rrb.Blueprint:
     """One page for everything that the viewer draws for `task`."""
     top = rrb.Horizontal(
-        rrb.Vertical(_scene(), *_goal(task), row_shares=[3, *[1.4] * len(_goal(task))]),
+        rrb.Vertical(_scene(task), *_goal(task), row_shares=[3, *[1.4] * len(_goal(task))]),
         rrb.Vertical(_actions(), *_predictions(task)),
         rrb.Vertical(_timing(), _losses(), _learning(task), _episodes()),
         column_shares=[5, 4, 4],
@@ -36,8 +37,10 @@ def dashboard(task: Task) -> rrb.Blueprint:
     )
 
 
-def _scene() -> rrb.Spatial3DView:
-    eye = rrb.EyeControls3D(position=EYE_M, look_target=LOOK_AT_M, eye_up=(0.0, 0.0, 1.0))
+def _scene(task: Task) -> rrb.Spatial3DView:
+    dexhand = isinstance(task, DieTask)
+    position, target = (DEXHAND_EYE_M, DEXHAND_LOOK_AT_M) if dexhand else (EYE_M, LOOK_AT_M)
+    eye = rrb.EyeControls3D(position=position, look_target=target, eye_up=(0.0, 0.0, 1.0))
     return rrb.Spatial3DView(
         origin="world", name="Hand and goal", eye_controls=eye, line_grid=False, background=BACKGROUND
     )

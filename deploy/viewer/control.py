@@ -13,10 +13,10 @@ from common.task import ReachTask
 from deploy.viewer.curves import (
     BAND_DEVIATIONS,
     FINGER_RGB,
-    SHOWN_JOINTS,
     TO_GOAL,
     goal_errors,
     headline,
+    shown_joints,
     watched_of,
 )
 from deploy.viewer.drawing import Drawing, Poses, Segments, State, When, event, scalars
@@ -51,7 +51,7 @@ class ControlDrawer:
         self._period_ns = period_ns
         self._ghost = ghost
         self._watched = watched_of(self._task)
-        self._shown = [self._task.actuator_names.index(name) for name in SHOWN_JOINTS]
+        self._shown = [self._task.actuator_names.index(name) for name in shown_joints(self._task)]
         self._chunks: OrderedDict[int, Chunk] = OrderedDict()  # by seq
         self._predicted: OrderedDict[int, Chunk] = OrderedDict()  # by step of the common axis
         self._episode = _Episode((0, -1))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.messages import Fallback, Mode
-from common.task import ManipulateTask, ReachTask, Task
+from common.task import DieTask, ManipulateTask, ReachTask, Task
 from deploy.viewer.drawing import Drawing, When, scalars
 
 Rgb = tuple[int, int, int]
@@ -54,7 +54,11 @@ LANES: Mapping[str, Mapping[str, Rgb]] = MappingProxyType(
     }
 )
 
-SHOWN_JOINTS = ("FFJ2", "MFJ2", "RFJ2", "LFJ2", "THJ3")  # one flexion of each finger
+# One joint of each finger, in the order of FINGER_RGB, of the one hand and the other.
+SHOWN_JOINTS = (
+    *("FFJ2", "MFJ2", "RFJ2", "LFJ2", "THJ3"),
+    *("ff_mcp", "mf_mcp", "rf_mcp", "lf_mcp", "th_rot"),
+)
 MM = 1000.0
 BAND_DEVIATIONS = 2.0
 
@@ -80,6 +84,11 @@ class Watched:
     scale: float
 
 
+def shown_joints(task: Task) -> tuple[str, ...]:
+    """The joints of the task's hand whose actions have a view of their own."""
+    return tuple(name for name in SHOWN_JOINTS if name in task.actuator_names)
+
+
 def watched_of(task: Task) -> tuple[Watched, ...]:
     """Three dimensions that tell whether the model understands the task."""
     if isinstance(task, ReachTask):
@@ -87,7 +96,9 @@ def watched_of(task: Task) -> tuple[Watched, ...]:
         tips = [(finger, start + 3 * i + 2) for i, finger in enumerate(task.finger_names)]
         chosen = [tips[0], tips[1], tips[-1]]
         return tuple(Watched(f"{f} tip height, mm", f"prediction/{f}_z_mm", i, MM) for f, i in chosen)
-    height = task.group("object_position").stop - 1
+    position = task.group("object_position")
+    # In the frame of a palm that looks up, x is height.
+    height = position.start if isinstance(task, DieTask) else position.stop - 1
     rotation = task.group("object_rotation").start
     return (
         Watched("object height, mm", "prediction/object_z_mm", height, MM),
@@ -98,7 +109,7 @@ def watched_of(task: Task) -> tuple[Watched, ...]:
 
 def curves_of(task: Task) -> tuple[Curves, ...]:
     """All entities of the task that hold several curves, or one whose name is not its path's."""
-    joints = SHOWN_JOINTS
+    joints = shown_joints(task)
     return (
         *_goal_curves(task),
         Curves("actions/executed", joints, FINGER_RGB),

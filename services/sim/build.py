@@ -5,16 +5,17 @@ from __future__ import annotations
 from common.built import Built
 from common.cell import SharedConfig
 from common.task import get_task
-from services.sim.plant import ShadowHandPlant
+from services.sim.plants import make_plant
 from services.sim.port import PlantPort
 from services.sim.service import SimService
 
 
 class SimProcess(SharedConfig):
-    """What the sim process is started with: physics, substeps and start poses are the environment's own."""
+    """What the sim process is started with: physics, substeps and start poses are the plant's own."""
 
 
 def build(config: SimProcess, boot_id: int) -> Built:
     """Make the service and the simulated hand that it drives."""
     service = SimService(config, get_task(config.task), boot_id)
-    return Built(service, {"plant": PlantPort(ShadowHandPlant(config.task))})
+    plant = make_plant(config.task, config.control.rate_hz)
+    return Built(service, {"plant": PlantPort(plant)})

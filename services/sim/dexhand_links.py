@@ -44,7 +44,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Block:
-    """A part of the palm: centre and half sizes in the palm's frame, and whether it touches things."""
+    """A part of the palm: centre and half sizes in the palm's frame."""
 
     centre: Vector
     half: Vector

@@ -10,7 +10,6 @@ import contextlib
 import io
 import logging
 import warnings
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco as compiled_mujoco
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from common.task import Task, get_task
+from services.sim.interface import Floats, PlantState, Snapshot
 
 # Their import prints notices and warnings about environments that are not used here.
 with warnings.catch_warnings(), contextlib.redirect_stderr(io.StringIO()):
@@ -38,24 +38,7 @@ _GOAL_OFFSET_M = np.array([0.15, 0.0, 0.0])
 _IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 
 mujoco: Any = compiled_mujoco  # its names come from compiled modules without type stubs
-Floats = NDArray[np.float64]
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class PlantState:
-    """State (S,) and goal (G,), float64, in the task's layout."""
-
-    state: Floats
-    goal: Floats
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """All that determines the plant's future: MuJoCo's integration state (P,) and what was observed."""
-
-    physics: Floats
-    observed: PlantState
 
 
 class ShadowHandPlant:
@@ -68,6 +51,8 @@ class ShadowHandPlant:
         self.model: Any = self.env.model
         self.data: Any = self.env.data
         self._body_ids = _shown_bodies(self.model)
+        joints = [self.model.joint(f"robot0:{name}") for name in self.task.joint_names]
+        self._joint_addresses = np.array([joint.qposadr[0] for joint in joints])
         self._state = np.zeros(self.task.state_dim)
         self.reset(seed)
 
@@ -131,6 +116,15 @@ class ShadowHandPlant:
         self.env.goal = snapshot.observed.goal.copy()
         self._state = snapshot.observed.state.copy()
         return snapshot.observed
+
+    def qpos(self, state: Floats) -> Floats:
+        """The model's coordinates (nq,) that a state (S,) describes; what it does not tell stays as it is."""
+        qpos = self.data.qpos.copy()
+        qpos[self._joint_addresses] = state[self.task.group("qpos").slice]
+        if self.task.name != "reach":
+            start = int(self.model.joint("object:joint").qposadr[0])
+            qpos[start : start + 7] = self.task.achieved(state)
+        return qpos
 
     def bodies(self) -> tuple[tuple[str, ...], Floats, Floats]:
         """Names (n), positions (n, 3) m, quaternions wxyz (n, 4): bodies and goal markers, world frame."""

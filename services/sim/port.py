@@ -8,7 +8,7 @@ import numpy as np
 
 from common.messages import Message, PlantCommand, PlantFrame
 from common.topics import PLANT_FRAME, Topic
-from services.sim.plant import ShadowHandPlant
+from services.sim.interface import Plant
 
 
 class PlantPort:
@@ -16,7 +16,7 @@ class PlantPort:
 
     name = "plant"
 
-    def __init__(self, plant: ShadowHandPlant) -> None:
+    def __init__(self, plant: Plant) -> None:
         self._plant = plant
         self._deliver: Callable[[Topic, Message], None] = lambda _topic, _message: None
 

@@ -12,7 +12,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from common import geometry
-from services.sim.plant import ShadowHandPlant
+from common.die import DIE, FACES
+from services.sim.interface import Plant
 
 mujoco: Any = compiled_mujoco  # its names come from compiled modules without type stubs
 
@@ -33,6 +34,9 @@ _SIDE_RGB = (
     (0.9, 0.9, 0.9),
 )
 _GOAL_ALPHA = 0.4
+_DIE_BODY = "die"
+_PIP_THICKNESS_M = 0.0004
+_DIE_GOAL_TINT = (0.55, 0.85, 0.65, 1.0)  # opaque: pips of the far side would show through
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,7 @@ class SceneMesh:
 
 @dataclass(frozen=True)
 class SceneBody:
-    """The meshes that move with one body, or goal marker, of `ShadowHandPlant.bodies`."""
+    """The meshes that move with one body, or goal marker, of a plant's `bodies`."""
 
     name: str
     meshes: tuple[SceneMesh, ...]
@@ -65,7 +69,7 @@ class Scene:
         return sum(m.vertices.nbytes + m.triangles.nbytes + m.rgba.nbytes for m in meshes)
 
 
-def export_scene(plant: ShadowHandPlant) -> Scene:
+def export_scene(plant: Plant) -> Scene:
     """The scene of `plant`; body names are those of `plant.bodies()` that have something to show."""
     meshes: dict[str, list[SceneMesh]] = {}
     for geom in map(plant.model.geom, range(plant.model.ngeom)):
@@ -76,9 +80,12 @@ def export_scene(plant: ShadowHandPlant) -> Scene:
     return Scene((*bodies, *_goal_bodies(plant, meshes)))
 
 
-def _goal_bodies(plant: ShadowHandPlant, meshes: dict[str, list[SceneMesh]]) -> Iterator[SceneBody]:
+def _goal_bodies(plant: Plant, meshes: dict[str, list[SceneMesh]]) -> Iterator[SceneBody]:
     if "object" in meshes:
         yield SceneBody("goal", tuple(_transparent(mesh) for mesh in meshes["object"]))
+        return
+    if _DIE_BODY in meshes:
+        yield SceneBody("goal", tuple(_tinted(mesh) for mesh in meshes[_DIE_BODY]))
         return
     for finger, rgb in zip(plant.task.finger_names, _FINGER_RGB, strict=True):
         marker = trimesh.creation.icosphere(subdivisions=2, radius=_GOAL_RADIUS_M)
@@ -86,6 +93,8 @@ def _goal_bodies(plant: ShadowHandPlant, meshes: dict[str, list[SceneMesh]]) -> 
 
 
 def _geom_meshes(model: Any, geom: Any) -> list[SceneMesh]:
+    if model.body(geom.bodyid[0]).name == _DIE_BODY:
+        return list(_die())
     vertices, triangles = _surface(model, geom)
     placed = geometry.rotate(geom.quat[None, :], vertices) + geom.pos
     if model.body(geom.bodyid[0]).name == "object":
@@ -130,6 +139,23 @@ def _sides(vertices: NDArray[Any], triangles: NDArray[Any], size: NDArray[Any]) 
         yield _mesh(vertices[used], renumbered.reshape(-1, 3), (*rgb, 1.0))
 
 
+def _die() -> Iterator[SceneMesh]:
+    """The die's body, and its pips as discs: a scene mesh has a colour, not a picture."""
+    body = DIE.mesh()
+    yield _mesh(body.vertices, body.triangles, _opaque(DIE.body_rgb))
+    pips: list[trimesh.Trimesh] = []
+    for face in range(1, FACES + 1):
+        disc = trimesh.creation.cylinder(DIE.pip_radius_m, 2 * _PIP_THICKNESS_M, sections=16)
+        disc.vertices = disc.vertices @ DIE.frames[face - 1]
+        pips += [disc.copy().apply_translation(centre) for centre in DIE.pips_of(face)]
+    discs: Any = trimesh.util.concatenate(pips)
+    yield _mesh(discs.vertices, discs.faces, _opaque(DIE.pip_rgb))
+
+
+def _opaque(rgb: tuple[int, int, int]) -> tuple[float, ...]:
+    return (*(level / 255 for level in rgb), 1.0)
+
+
 def _rgba(model: Any, geom: Any) -> NDArray[Any]:
     uses_material = geom.matid[0] >= 0 and np.allclose(geom.rgba, _DEFAULT_RGBA)
     return model.mat_rgba[geom.matid[0]] if uses_material else geom.rgba
@@ -137,6 +163,10 @@ def _rgba(model: Any, geom: Any) -> NDArray[Any]:
 
 def _transparent(mesh: SceneMesh) -> SceneMesh:
     return replace(mesh, rgba=np.array([*mesh.rgba[:3], _GOAL_ALPHA], np.float32))
+
+
+def _tinted(mesh: SceneMesh) -> SceneMesh:
+    return replace(mesh, rgba=mesh.rgba * np.array(_DIE_GOAL_TINT, np.float32))
 
 
 def _mesh(vertices: NDArray[Any], triangles: NDArray[Any], rgba: Any) -> SceneMesh:

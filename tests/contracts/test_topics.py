@@ -4,12 +4,14 @@ import dataclasses
 
 import pytest
 
-from common import messages, topics
+from common import hand_messages, messages, topics
 from common.topics import (
     ACK,
     CHUNK,
     EPISODE,
+    HAND_JOINTS,
     METRICS,
+    OBJECT_POSE,
     PLANT_COMMAND,
     PLANT_FRAME,
     PORTS,
@@ -21,11 +23,21 @@ from common.topics import (
 )
 from deploy.curriculum import CurriculumService
 from deploy.viewer.service import ViewerService
+from services.hand_io.service import HandIoService
 from services.learner.service import LearnerService
 from services.planner.service import PlannerService
+from services.sim.emulator_service import EmulatorService
 from services.sim.service import SimService
 
-SERVICES = (SimService, PlannerService, LearnerService, CurriculumService, ViewerService)
+SERVICES = (
+    SimService,
+    HandIoService,
+    EmulatorService,
+    PlannerService,
+    LearnerService,
+    CurriculumService,
+    ViewerService,
+)
 
 
 def readers(topic):
@@ -39,9 +51,11 @@ def test_every_topic_has_a_reader(topic):
 
 def test_those_who_close_the_loop_read_what_they_must():
     assert readers(STEP) >= {"planner", "learner", "curriculum"}
-    assert readers(CHUNK) >= {"sim"}
-    assert readers(EPISODE) >= {"sim"}
-    assert readers(ACK) >= {"sim", "curriculum"}
+    assert readers(CHUNK) >= {"sim", "hand_io"}
+    assert readers(EPISODE) >= {"sim", "hand_io"}
+    assert readers(ACK) >= {"sim", "hand_io", "curriculum"}
+    assert readers(OBJECT_POSE) >= {"hand_io"}
+    assert HAND_JOINTS.latched == 0 and not HAND_JOINTS.recovered  # droppable
     assert readers(SNAPSHOT) == {"planner"}
     assert readers(METRICS) >= {"curriculum"}
     assert readers(PLANT_FRAME) == {"sim"}
@@ -71,10 +85,11 @@ def test_every_constant_stands_in_the_table_and_keys_and_messages_are_unique():
 def test_every_message_class_travels_on_some_topic():
     kinds = {
         kind
-        for kind in vars(messages).values()
-        if dataclasses.is_dataclass(kind) and kind.__module__ == messages.__name__
+        for module in (messages, hand_messages)
+        for kind in vars(module).values()
+        if dataclasses.is_dataclass(kind) and kind.__module__ == module.__name__
     }
-    envelope = {messages.ArraySpec, messages.Range, messages.Header, messages.Sample}
+    envelope = {messages.Header, messages.Sample}
     assert kinds - envelope == {topic.message for topic in (*TOPICS, *PORTS)}
 
 

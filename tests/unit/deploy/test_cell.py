@@ -16,11 +16,14 @@ from deploy.cell import (
     process_config,
     write_process_configs,
 )
-from deploy.processes import NAMES, process_of
+from deploy.processes import NAMES, process_of, processes_of
 
+IN_SIMULATION = tuple(process.name for process in processes_of("sim"))
 SHIPPED = sorted(path.stem for path in CELLS_DIR.glob("*.yaml"))
 MODELS = {
     "sim": ("services.sim.build", "SimProcess"),
+    "emulator": ("services.sim.emulator_config", "EmulatorProcess"),
+    "hand_io": ("services.hand_io.config", "HandIoProcess"),
     "planner": ("services.planner.build", "PlannerProcess"),
     "learner": ("services.learner.build", "LearnerProcess"),
     "viewer": ("deploy.viewer.build", "ViewerProcess"),
@@ -35,7 +38,16 @@ def write(path: Path, text: str) -> str:
 
 
 def test_shipped_cells_are_the_promised_ones() -> None:
-    assert SHIPPED == ["block", "debug", "egg", "egg_rotate", "reach", "three_machines"]
+    assert SHIPPED == [
+        "block",
+        "debug",
+        "dexhand_twin",
+        "die",
+        "egg",
+        "egg_rotate",
+        "reach",
+        "three_machines",
+    ]
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -128,7 +140,7 @@ def test_everything_on_one_machine_stays_on_it() -> None:
     cell = load_cell("three_machines", ["bus.connect=[tcp/10.0.0.5:7000]", "bus.listen=[tcp/10.0.0.5:7000]"])
     local = on_this_machine(cell)
     assert local.bus.connect == local.bus.listen == ("tcp/127.0.0.1:7000",)
-    assert instances_of(local, "local") == NAMES
+    assert instances_of(local, "local") == IN_SIMULATION
 
 
 def test_the_hash_tells_values_apart_but_not_places() -> None:
@@ -145,7 +157,7 @@ def test_unknown_cell_names_those_that_exist() -> None:
 def test_effective_cell_is_saved_and_loads_to_the_same_hash(tmp_path: Path) -> None:
     cell = load_cell("debug", [f"run_dir={tmp_path}/run"])
     files = write_process_configs(cell)
-    assert {path.stem for path in files.config_dir.glob("*.yaml")} == {"cell", *NAMES}
+    assert {path.stem for path in files.config_dir.glob("*.yaml")} == {"cell", *IN_SIMULATION}
     assert load_cell(str(files.config_of("cell"))).config_hash == cell.config_hash
 
 
@@ -163,3 +175,31 @@ def test_a_path_too_long_for_a_socket_is_named(tmp_path: Path) -> None:
 
 def test_process_of_knows_instances() -> None:
     assert process_of("watchdog_learning").name == "watchdog"
+
+
+@pytest.mark.parametrize(
+    ("overrides", "complaint"),
+    [
+        (["can.interface=socketcan", "can.channel=can0"], "an emulated hand has no place on socketcan"),
+        (["plant=hand", "can.interface=socketcan", "pose_source=camera"], "auto_arm: a hand that can hurt"),
+        (["plant=hand"], "pose_source: only an emulated hand has a twin"),
+        (["task=reach"], "task: reach is none for the DexHand 021"),
+        (["can.interface=kvaser", "can.channel=first"], "channel of kvaser must be a number"),
+    ],
+)
+def test_a_hand_that_cannot_be_driven_so_is_refused(overrides: list[str], complaint: str) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        load_cell("dexhand_twin", overrides)
+
+
+def test_each_plant_brings_its_own_processes() -> None:
+    twin = load_cell("dexhand_twin")
+    names = instances_of(twin, "local")
+    assert "sim" not in names and {"emulator", "hand_io"} < set(names)
+    assert names.index("emulator") < names.index("hand_io") < names.index("curriculum")
+    real = load_cell(
+        "dexhand_twin",
+        ["plant=hand", "can.interface=socketcan", "pose_source=camera", "hand_io.auto_arm=false"],
+    )
+    assert "emulator" not in instances_of(real, "local")
+    assert "hand_io" not in process_config(twin, "watchdog")["watchdog"]["watches"]  # people arm it

@@ -16,7 +16,7 @@ from tests.unit.deploy.viewer_samples import PERIOD_NS, START_NS, chunk, step
 
 @pytest.fixture(scope="module")
 def kinematics():
-    return {name: SceneKinematics(name) for name in ("reach", "egg")}
+    return {name: SceneKinematics(name) for name in ("reach", "egg", "die")}
 
 
 @pytest.fixture
@@ -207,7 +207,7 @@ def test_a_wanted_episode_is_told(drawer):
     assert texts(drawer.draw(sample)) == ["curriculum: wants episode 3: evaluate, 50 steps, seed 12"]
 
 
-@pytest.mark.parametrize("task_name", ["reach", "egg"])
+@pytest.mark.parametrize("task_name", ["reach", "egg", "die"])
 def test_legends_fit_the_curves(kinematics, task_name):
     drawer = Drawer(kinematics[task_name], PERIOD_NS, ghost=False)
     samples = [step(task_name, 0), chunk(task_name, 0)]

@@ -7,7 +7,7 @@ import pytest
 
 from common.messages import Fallback, Mode, Warmup
 from common.topics import ACK, CHUNK, EPISODE, PLANT_FRAME
-from services.sim.warmup import WarmupActions
+from common.warmup import WarmupActions
 from tests.samples import (
     PLANNER,
     PLANT,

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from common import geometry
-from common.task import TASKS
-from services.sim.plant import ShadowHandPlant
+from services.sim.plant import ENV_IDS, ShadowHandPlant
 from services.sim.scene import export_scene, primitive
 
 
-@pytest.fixture(scope="module", params=TASKS)
+@pytest.fixture(scope="module", params=ENV_IDS)
 def plant(request):
     return ShadowHandPlant(request.param)
 

@@ -5,7 +5,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from services.sim.warmup import WarmupActions
+from common.warmup import WarmupActions
 
 
 def take(kind, seed, episode=0, n=50):

@@ -1,0 +1,29 @@
+"""The emulated hand without the cell's bus, as a process for `bench.can`: lives until its input ends."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from common.can_config import CanConfig
+from common.dexhand021.config import DexHandConfig
+from services.sim.dexhand_twin import DexHandTwin
+from services.sim.emulator_config import EmulatorConfig
+from services.sim.emulator_port import EmulatorPort
+
+
+def main() -> None:
+    """Say `ready`, answer on the bus, and end with standard input."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--port", type=int, required=True, help="of the multicast group")
+    can = CanConfig(interface="udp_multicast", port=parser.parse_args().port)
+    twin, hand = DexHandTwin(), DexHandConfig()
+    port = EmulatorPort(can, hand, EmulatorConfig(), twin, twin.task)
+    port.open(lambda _topic, _message: None)
+    print("ready", flush=True)
+    sys.stdin.read()
+    port.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,45 @@
+"""Where a hand's CAN-FD bus is, as options; this module needs no CAN library."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from common.config import Frozen
+
+Interface = Literal["socketcan", "pcan", "kvaser", "vector", "zlgcan", "udp_multicast", "virtual"]
+# Nothing that is reached through these can hurt anybody.
+SIMULATED: tuple[Interface, ...] = ("udp_multicast", "virtual")
+
+
+class CanConfig(Frozen):
+    """One channel of one adapter; bit rates are those of the hand's maker, the only pair in use."""
+
+    interface: Interface = Field(default="udp_multicast", description="python-can's name of the adapter")
+    channel: str = Field(
+        default="239.74.163.2",
+        min_length=1,
+        description="can0, PCAN_USBBUS1, 0, ...; a multicast group for udp_multicast",
+    )
+    port: int = Field(
+        default=43113, ge=1024, le=65535, description="of udp_multicast; hands that share one hear each other"
+    )
+    bit_rate: int = Field(default=1_000_000, gt=0, description="of the arbitration phase, bit/s")
+    data_bit_rate: int = Field(default=5_000_000, gt=0, description="of the data phase, bit/s")
+    device: int = Field(
+        default=0, ge=0, description="which adapter, where there are several (zlgcan, kvaser)"
+    )
+    device_type: int = Field(default=41, ge=0, description="zlgcan alone: 41 is USBCANFD-200U, 42 100U")
+    termination: bool = Field(default=True, description="zlgcan alone: switch the adapter's resistor on")
+
+    @model_validator(mode="after")
+    def _numbered(self) -> CanConfig:
+        if self.interface in ("kvaser", "vector", "zlgcan") and not self.channel.isdigit():
+            raise ValueError(f"channel of {self.interface} must be a number, such as 0")
+        return self
+
+    @property
+    def simulated(self) -> bool:
+        """Whether only an emulated hand can be on this bus."""
+        return self.interface in SIMULATED

@@ -1,0 +1,187 @@
+"""`python -m deploy.doctor can [CELL] [--set a.b=c]`: is the hand there? Sends questions only.
+
+Beside a running hand_io it just listens and reads memory. On a quiet bus it also sends one motion command
+that gives no motor torque, which is the only way to be told angles and temperatures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import time
+from collections.abc import Iterator
+from statistics import median
+from typing import Any
+
+from common.can_link import BadFrame, BusOff, Busy, CanLink, LinkError
+from common.config import ConfigError
+from common.dexhand021 import host
+from common.dexhand021.commands import BroadcastMotion, Command, MotorTarget, NvmRead
+from common.dexhand021.frames import Refusal
+from common.dexhand021.replies import BoardFeedback, ErrorReport, NvmReply, OverTemperature, Reply
+from common.dexhand021.tables import BOARDS, MOTORS, ControlMode, NvmAddress, board_id
+from deploy.cell import Cell, load_cell
+from deploy.checks import Check
+
+LISTEN_S, ANSWER_S, PINGS = 0.5, 0.1, 5
+ROUND_TRIP_LIMIT_MS = 10.0
+LINK_ADVICE = "ip link set {0} up type can bitrate {1} dbitrate {2} fd on restart-ms 100"
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Print one line per check; 1 if any failed."""
+    parser = argparse.ArgumentParser(prog="python -m deploy.doctor can", description=__doc__)
+    parser.add_argument("cell", nargs="?", default="dexhand_twin", help="a file, or a name in deploy/cells")
+    parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="a.b=c")
+    options = parser.parse_args(argv)
+    failed = False
+    for check in checks(options.cell, options.overrides):
+        print(check, flush=True)
+        failed |= not check.ok
+    return int(failed)
+
+
+def checks(cell_name: str, overrides: list[str]) -> Iterator[Check]:
+    """Examine adapter, bit rates, boards; stops where nothing more can be seen."""
+    try:
+        cell = load_cell(cell_name, overrides)
+        link = CanLink(cell.can, cell.hand.bit_rate_switch)
+    except ConfigError as error:
+        yield from (Check(False, "config", line, "correct the cell") for line in error.lines)
+        return
+    except LinkError as error:
+        yield Check(
+            False, "adapter", str(error), "is it plugged in, its driver installed, the channel right?"
+        )
+        return
+    try:
+        yield Check(True, "adapter", f"{cell.can.interface} {cell.can.channel} opened for CAN FD")
+        yield _bit_rates(cell)
+        yield from _hand(cell, link)
+    finally:
+        link.close()
+
+
+def _bit_rates(cell: Cell) -> Check:
+    can = cell.can
+    wanted = f"{can.bit_rate} and {can.data_bit_rate} bit/s"
+    if can.simulated:
+        return Check(True, "bit rates", "a simulated bus has none")
+    if can.interface != "socketcan":
+        return Check(True, "bit rates", f"set to {wanted} by this program")
+    found = _link_rates(can.channel)
+    advice = LINK_ADVICE.format(can.channel, can.bit_rate, can.data_bit_rate)
+    right = found == (can.bit_rate, can.data_bit_rate)
+    return Check(right, "bit rates", f"{found[0]} and {found[1]} bit/s" if found else "unknown", advice)
+
+
+def _link_rates(channel: str) -> tuple[int, int] | None:
+    """What the kernel says of a SocketCAN link, or None."""
+    try:
+        done = subprocess.run(
+            ("ip", "-json", "-details", "link", "show", channel), capture_output=True, timeout=5, check=True
+        )
+        data: dict[str, Any] = json.loads(done.stdout)[0]["linkinfo"]["info_data"]
+        return int(data["bittiming"]["bitrate"]), int(data["data_bittiming"]["bitrate"])
+    except (OSError, subprocess.SubprocessError, ValueError, KeyError, IndexError):
+        return None
+
+
+def _hand(cell: Cell, link: CanLink) -> Iterator[Check]:
+    examiner = Examiner(cell, link)
+    try:
+        examiner.listen(LISTEN_S)
+        driven = bool(examiner.statuses)
+        yield Check(True, "traffic", "hand_io is driving the hand" if driven else "the bus is quiet")
+        if not driven:
+            examiner.ask_status()
+        for board in range(len(BOARDS)):
+            yield examiner.board(board)
+    except BusOff:
+        yield Check(False, "bus", "bus off", "check termination, wiring and bit rates; is the hand powered?")
+    except (LinkError, Busy) as error:
+        yield Check(False, "bus", str(error) or "nothing can be sent", "is the hand powered and connected?")
+
+
+class Examiner:
+    """Asks boards one by one and notes what else is heard; all methods may raise BusOff, Busy, LinkError."""
+
+    def __init__(self, cell: Cell, link: CanLink) -> None:
+        self._hand, self._link = cell.hand, link
+        self._pause_c = cell.hand_io.limits.pause_c
+        self.statuses: dict[int, BoardFeedback] = {}
+        self.errors: dict[int, ErrorReport | OverTemperature] = {}
+
+    def listen(self, seconds: float, board: int = 0, address: NvmAddress | None = None) -> NvmReply | None:
+        """Hear replies until the wanted one, or for so long."""
+        deadline = time.monotonic() + seconds
+        while (left := deadline - time.monotonic()) > 0:
+            reply = self._receive(left)
+            if isinstance(reply, NvmReply) and (reply.board, reply.address) == (board, address):
+                return reply
+        return None
+
+    def _receive(self, seconds: float) -> Reply | None:
+        try:
+            frame = self._link.receive(seconds)
+        except BadFrame:
+            return None
+        reply = host.decode(frame, self._hand.feedback_bytes) if frame else None
+        if isinstance(reply, BoardFeedback):
+            self.statuses[reply.board] = reply
+        elif isinstance(reply, ErrorReport | OverTemperature):
+            self.errors[reply.board] = reply
+        return None if isinstance(reply, Refusal) else reply
+
+    def ask_status(self) -> None:
+        """Have all boards report, without torque."""
+        nothing = MotorTarget(enabled=False, position=0, speed=0, current=0)
+        self._send(BroadcastMotion(self._hand.hand, ControlMode.ZERO_TORQUE, (nothing,) * MOTORS))
+        self.listen(ANSWER_S)
+
+    def _send(self, command: Command) -> None:
+        self._link.send(host.encode(command))
+
+    def _read(self, board: int, address: NvmAddress) -> tuple[int, float] | None:
+        """A value of a board's memory and how long it took, in ms; None without an answer."""
+        begin = time.monotonic()
+        self._send(NvmRead(board, address))
+        reply = self.listen(ANSWER_S, board, address)
+        return None if reply is None else (reply.value, (time.monotonic() - begin) * 1e3)
+
+    def board(self, index: int) -> Check:
+        """One line about board 0-5."""
+        identity = board_id(self._hand.hand, index)
+        about = f"{BOARDS[index].name} (id {identity})"
+        answers = [self._read(identity, NvmAddress.FIRMWARE) for _ in range(PINGS)]
+        heard = [answer for answer in answers if answer is not None]
+        if not heard:
+            return Check(False, about, "does not answer", "power, cable, and left or right hand in the cell?")
+        round_trip_ms = median(answer[1] for answer in heard)
+        safe = self._read(identity, NvmAddress.SAFE_TEMPERATURE_C)
+        found = [
+            f"firmware {heard[0][0]}",
+            f"round trip {round_trip_ms:.2f} ms",
+            *self._temperature(identity),
+        ]
+        found += [f"powers off at {safe[0]} °C"] if safe else []
+        lost = PINGS - len(heard)
+        wrong = [f"{lost} of {PINGS} answers lost"] if lost else []
+        wrong += ["slow"] if round_trip_ms > ROUND_TRIP_LIMIT_MS else []
+        wrong += self._ailments(identity)
+        return Check(
+            not wrong, about, ", ".join(found + wrong), "let it cool, free the finger, check the wiring"
+        )
+
+    def _temperature(self, identity: int) -> list[str]:
+        status = self.statuses.get(identity)
+        return [f"{status.temperature_c} °C"] if status and status.temperature_c is not None else []
+
+    def _ailments(self, identity: int) -> list[str]:
+        status, error = self.statuses.get(identity), self.errors.get(identity)
+        hot = status is not None and (status.temperature_c or 0) >= self._pause_c
+        flags = [flag.name or str(int(flag)) for flag in (status.errors or ()) if flag] if status else []
+        if isinstance(error, OverTemperature):
+            return ["over-temperature"]
+        return (["too hot to run"] if hot else []) + ([f"latched {' '.join(flags)}"] if flags else [])

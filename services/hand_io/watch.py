@@ -1,0 +1,62 @@
+"""What is wrong with the hand, judged from what its driver reports."""
+
+# pyright: strict
+
+from __future__ import annotations
+
+from common.dexhand021.replies import MotorFlag
+from common.dexhand021.tables import BOARDS, JOINTS
+from common.hand_messages import HandFrame, Link
+from services.hand_io.arming import Condition
+
+DRIVER_SILENT_NS = 1_000_000_000
+
+
+class Watch:
+    """Remembers what a frame alone does not tell: whether a board has restarted since the last one."""
+
+    def __init__(self, silent_ms: float) -> None:
+        self._silent_ms = silent_ms
+        self._starts = -1.0
+
+    def judge(self, now_ns: int, frame: HandFrame | None) -> Condition:
+        """Everything that keeps the hand from running."""
+        if frame is None:
+            return Condition(troubles=("the driver has said nothing yet",))
+        troubles = [*self._silent(now_ns, frame), *self._restarted(frame)]
+        if frame.link is Link.DOWN:
+            troubles.insert(0, "no bus")
+        return Condition(faults(frame), tuple(troubles))
+
+    def _silent(self, now_ns: int, frame: HandFrame) -> list[str]:
+        if now_ns - frame.t_ns > DRIVER_SILENT_NS:
+            return ["the driver is silent"]
+        silent = [
+            board.name for board, age in zip(BOARDS, frame.age_ms, strict=True) if age > self._silent_ms
+        ]
+        return [f"silent: {' '.join(silent)}"] if silent else []
+
+    def _restarted(self, frame: HandFrame) -> list[str]:
+        starts = frame.counts.get("starts", 0.0)
+        restarted = 0.0 <= self._starts < starts
+        self._starts = starts
+        return ["a board has restarted"] if restarted else []
+
+
+def faults(frame: HandFrame) -> tuple[str, ...]:
+    """What takes the torque off."""
+    hot = [board.name for board, over in zip(BOARDS, frame.overheated, strict=True) if over]
+    found = ["bus off"] if frame.link is Link.BUS_OFF else []
+    return tuple(found + ([f"too hot: {' '.join(hot)}"] if hot else []))
+
+
+def notes(frame: HandFrame) -> tuple[str, ...]:
+    """What people should know although the hand goes on: motors in error, fingertips without a reading."""
+    told = [
+        f"{joint.name}: {MotorFlag(int(bits)).name or bits}"
+        for joint, bits in zip(JOINTS, frame.flags, strict=True)
+        if bits
+    ]
+    tips = [board.name for board in BOARDS if board.has_tactile]
+    blind = [tip for tip, valid in zip(tips, frame.force_valid, strict=True) if not valid]
+    return (*told, *(f"no force: {tip}" for tip in blind))

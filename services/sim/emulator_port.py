@@ -1,0 +1,165 @@
+"""The emulated hand on its bus: one thread answers at once, another keeps the physics going."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+from collections.abc import Callable
+
+import numpy as np
+from pydantic import ValidationError
+
+from common.can_config import CanConfig
+from common.can_link import BadFrame, BusOff, Busy, CanLink, LinkError
+from common.clock import Clock, Ticker, WallClock
+from common.config import ConfigError, parse
+from common.dexhand021.config import DexHandConfig
+from common.dexhand021.frames import Frame
+from common.hand_messages import TwinCommand, TwinFrame
+from common.messages import Message
+from common.task import DieTask
+from common.topics import TWIN_FRAME, Topic
+from services.sim.can_emulator import EmulatedHand
+from services.sim.emulator_config import EmulatorConfig, Fault, FaultKind
+from services.sim.emulator_sensors import TwinLike
+
+FAULT_QUERY = "emulator/fault"
+READ_TIMEOUT_S = 0.1
+LIFT_M = 0.002  # the die is laid down from so high
+NS_PER_S = 1e9
+
+
+class EmulatorPort:
+    """Runs an EmulatedHand live; delivers the truth behind it `pose_hz` times a second."""
+
+    name = "twin"
+
+    def __init__(
+        self,
+        can: CanConfig,
+        hand: DexHandConfig,
+        config: EmulatorConfig,
+        twin: TwinLike,
+        task: DieTask,
+        *,
+        clock: Clock | None = None,
+    ) -> None:
+        self._config = config
+        self._can = can
+        self._twin, self._task = twin, task
+        self._clock = clock or WallClock()
+        self.hand = EmulatedHand(hand, config, twin, self._clock.now_ns())
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._lay = threading.Event()
+        self._was_off = False
+        self._late: list[tuple[int, Frame]] = []  # answers that are not due yet
+        self._deliver: Callable[[Topic, Message], None] = lambda _topic, _message: None
+        self._threads = [
+            threading.Thread(target=self._answer, name="emulator answers", daemon=True),
+            threading.Thread(target=self._live, name="emulator physics", daemon=True),
+        ]
+        self._link: CanLink | None = None
+
+    def open(self, deliver: Callable[[Topic, Message], None]) -> None:
+        """Join the bus and come to life. Raises LinkError."""
+        self._deliver = deliver
+        self._link = CanLink(self._can)
+        for thread in self._threads:
+            thread.start()
+
+    def write(self, message: Message) -> None:
+        """Lay the die into the hand."""
+        if not isinstance(message, TwinCommand):
+            raise TypeError(f"the twin takes TwinCommand, got {type(message).__name__}")
+        if message.lay_die:
+            self._lay.set()
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._stop.set()
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join()
+        if self._link is not None:
+            self._link.close()
+
+    def inject(self, fault: Fault) -> None:
+        """Have a fault from now on."""
+        with self._lock:
+            self.hand.faults.add(self._clock.now_ns(), fault)
+
+    def answer_query(self, payload: bytes) -> bytes:
+        """Take a fault as JSON; the answer is empty, or says what is wrong with it."""
+        try:
+            fault = parse(Fault, json.loads(payload), "fault")
+        except (ConfigError, ValueError, TypeError, ValidationError) as error:
+            return str(error).encode()
+        self.inject(fault)
+        return b""
+
+    # --- the bus ----------------------------------------------------------------------------------
+
+    def _answer(self) -> None:
+        assert self._link is not None
+        while not self._stop.is_set():
+            try:
+                frame = self._link.receive(READ_TIMEOUT_S)
+            except (BadFrame, BusOff, LinkError):
+                self._stop.wait(0.001)  # what is no frame is none of the boards' business
+                continue
+            if frame is None:
+                continue
+            now_ns = self._clock.now_ns()
+            with self._lock:
+                answers = self.hand.receive(now_ns, frame)
+                self._late += [(due, answer) for due, answer in answers if due > now_ns]
+            self._send([answer for due, answer in answers if due <= now_ns])
+
+    def _send(self, frames: list[Frame]) -> None:
+        assert self._link is not None
+        for frame in frames:
+            with contextlib.suppress(Busy, BusOff, LinkError):
+                self._link.send(frame)
+
+    # --- physics ----------------------------------------------------------------------------------
+
+    def _live(self) -> None:
+        assert self._link is not None
+        ticker = Ticker(round(NS_PER_S / self._config.physics_hz), self._clock.now_ns())
+        poses = Ticker(round(NS_PER_S / self._config.pose_hz), self._clock.now_ns())
+        while not self._stop.wait(max(0.0, (ticker.next_ns - self._clock.now_ns()) / NS_PER_S)):
+            now_ns = self._clock.now_ns()
+            ticker.take(now_ns)
+            self._send(self._round(now_ns))
+            off = self.hand.faults.active(now_ns, FaultKind.BUS_OFF)
+            if off and not self._was_off:
+                self._link.send_bus_off()
+            self._was_off = off
+            if poses.take(now_ns):
+                self._deliver(TWIN_FRAME, self._frame())
+
+    def _round(self, now_ns: int) -> list[Frame]:
+        """A round of physics; what is to be sent after it."""
+        if self._lay.is_set():
+            self._lay.clear()
+            position = np.array(self._task.start_position) + LIFT_M * np.array(self._task.up)
+            self._twin.place_die(position, self._task.start_rotation)
+        said = self.hand.advance(now_ns)
+        with self._lock:
+            due = [frame for at_ns, frame in self._late if at_ns <= now_ns]
+            self._late = [(at_ns, frame) for at_ns, frame in self._late if at_ns > now_ns]
+        return [*said, *due]
+
+    def _frame(self) -> TwinFrame:
+        position, rotation = self._twin.die_pose()
+        return TwinFrame(
+            t_ns=self._clock.now_ns(),
+            position=position.astype(np.float32),
+            rotation=rotation.astype(np.float32),
+            holding=self._twin.holding,
+            q_rad=self.hand.sensors.angle_rad.astype(np.float32),
+            powered=self.hand.powered.astype(np.uint8),
+            counts={name: float(count) for name, count in self.hand.counts.items()},
+        )

@@ -1,0 +1,97 @@
+"""The die task: Eq. (2), the penalty for a drop as a function of the state, goals, and success by face."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from common.task import get_task
+
+TASK = get_task("die")
+FLAT = np.concatenate([np.zeros(17), TASK.goal(1)])
+
+
+def poses(n, seed=0):
+    """States (n, 24) with the die anywhere, goals (n, 7)."""
+    rng = np.random.default_rng(seed)
+    state, goal = rng.normal(size=(n, 24)), rng.normal(size=(n, 7))
+    state[:, 20:] /= np.linalg.norm(state[:, 20:], axis=1, keepdims=True)
+    goal[:, 3:] /= np.linalg.norm(goal[:, 3:], axis=1, keepdims=True)
+    return state, goal
+
+
+def equation_2(state, goal):
+    """Eq. (2) and the penalty as the paper prints them, for one state."""
+    p, q = state[17:20], state[20:24]
+    reward = -(0.1 * math.dist(p, goal[:3]) + 2 * math.acos(min(1.0, abs(float(q @ goal[3:])))))
+    lower = math.cos(math.radians(15)) * p[0] - math.sin(math.radians(15)) * p[1] < 0.0
+    return reward - 2 * lower
+
+
+def test_the_reward_is_equation_2_with_two_less_for_a_drop():
+    state, goal = poses(200)
+    expected = [equation_2(s, g) for s, g in zip(state, goal, strict=True)]
+    assert np.allclose(TASK.reward(state, goal), expected, atol=1e-7)
+    assert np.array_equal(TASK.env_reward(state, goal), TASK.reward(state, goal))
+    assert 20 < TASK.dropped(state).sum() < 180
+
+
+def test_the_reward_is_differentiable_and_blind_to_the_sign():
+    state, goal = (torch.from_numpy(x) for x in poses(50))
+    state.requires_grad_()
+    reward = TASK.reward(state, goal)
+    reward.sum().backward()
+    assert torch.isfinite(state.grad).all()
+    assert (state.grad[:, :17] == 0).all()
+    flipped = goal * torch.tensor([1, 1, 1, -1, -1, -1, -1])
+    assert torch.allclose(TASK.reward(state, flipped), reward)
+    on_goal = torch.from_numpy(FLAT).requires_grad_()
+    TASK.reward(on_goal, torch.from_numpy(TASK.goal(1))).backward()
+    assert torch.isfinite(on_goal.grad).all()
+
+
+def test_numpy_and_torch_agree_in_everything():
+    state, goal = poses(64, seed=1)
+    goal[:16, 3:] = state[:16, 20:]
+    tensors = torch.from_numpy(state), torch.from_numpy(goal)
+    for name, value in {**TASK.errors(state, goal), **TASK.successes(state, goal)}.items():
+        other = {**TASK.errors(*tensors), **TASK.successes(*tensors)}[name]
+        assert np.allclose(value, other.numpy(), atol=1e-6), name
+    single = TASK.successes(tensors[0].float(), tensors[1][0].float())
+    assert single["success_paper"].shape == (64,)
+
+
+@pytest.mark.parametrize("face", [2, 4, 5])
+def test_each_goal_is_a_quarter_turn_away_and_its_face_counts_however_turned(face):
+    goals = TASK.goals(face, 4)
+    assert np.array_equal(goals[0], TASK.goal(face))
+    assert TASK.errors(FLAT, goals[0])["rotation_rad"] == pytest.approx(np.pi / 2)
+    assert not TASK.successes(FLAT, goals[0])["success_paper"]
+    for turned in goals:
+        state = np.concatenate([np.zeros(17), turned])
+        verdict = TASK.successes(state, goals[0])
+        assert verdict["success_paper"]
+        assert bool(verdict["success_env"]) == (turned is goals[0] or np.array_equal(turned, goals[0]))
+        assert TASK.errors(state, goals[0])["lean_rad"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_dropped_die_is_no_success():
+    state = FLAT.copy()
+    state[17] = -0.1
+    assert TASK.dropped(state)
+    assert not any(TASK.successes(state, TASK.goal(1)).values())
+    assert all(TASK.successes(FLAT, TASK.goal(1)).values())
+
+
+def test_implausible_states_are_named_as_such():
+    state = np.tile(FLAT, (5, 1))
+    state[1, 3], state[2, 13], state[3, 19], state[4, 20:] = np.nan, 1e3, 2.0, 0.1
+    assert TASK.plausible(state).tolist() == [True, False, False, False, False]
+    assert TASK.plausible(torch.from_numpy(state)).tolist() == [True, False, False, False, False]
+
+
+def test_a_left_hand_has_its_thumb_on_the_other_side():
+    left = TASK.mirrored()
+    assert left.up == (TASK.up[0], -TASK.up[1], TASK.up[2])
+    assert left.mirrored() == TASK
