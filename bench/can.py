@@ -138,8 +138,8 @@ def _what_hand_io_does(config: HandIoConfig) -> str:
     period_ms = 1e3 / config.set_point_hz
     return (
         f"counts it, repeats nothing: the next frame, {period_ms:.0f} ms later, has all set points; "
-        f"a reading older than {config.stale_ms:.0f} ms is not valid and its motors are asked for nothing new; a board "
-        f"silent for {config.silent_s:g} s puts the hand on hold, unarmed"
+        f"a reading older than {config.stale_ms:.0f} ms is not valid, its motors are asked for nothing new; "
+        f"a board silent for {config.silent_s:g} s puts the hand on hold, unarmed"
     )
 
 

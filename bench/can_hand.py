@@ -9,13 +9,14 @@ from common.can_config import CanConfig
 from common.dexhand021.config import DexHandConfig
 from services.sim.dexhand_twin import DexHandTwin
 from services.sim.emulator_config import EmulatorConfig
-from services.sim.emulator_port import EmulatorPort
+from services.sim.emulator_port import SWITCH_S, EmulatorPort
 
 
 def main() -> None:
     """Say `ready`, answer on the bus, and end with standard input."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--port", type=int, required=True, help="of the multicast group")
+    sys.setswitchinterval(SWITCH_S)
     can = CanConfig(interface="udp_multicast", port=parser.parse_args().port)
     twin, hand = DexHandTwin(), DexHandConfig()
     port = EmulatorPort(can, hand, EmulatorConfig(), twin, twin.task)

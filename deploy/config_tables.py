@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 import yaml
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
+from pydantic_core import to_jsonable_python
 
 from deploy.cell import CELLS_DIR, Cell
 from deploy.markdown import Row, code, table
@@ -51,7 +52,7 @@ def _value_row(name: str, info: FieldInfo) -> Row:
 def _yaml(value: Any) -> str:
     if isinstance(value, BaseModel):
         value = value.model_dump(mode="json")
-    plain = [*value] if isinstance(value, tuple) else str(value) if isinstance(value, Path) else value
+    plain = to_jsonable_python(value)
     return str(yaml.safe_dump(plain, default_flow_style=True, width=10_000)).removesuffix("...\n").strip()
 
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from common.messages import Chunk, Episode, Health, Metrics, Sample, Step
-from common.topics import CHUNK, EPISODE, HEALTH, METRICS, STEP, Topic
+from collections.abc import Iterable
+
+from common.hand_messages import HandJoints
+from common.messages import Chunk, Episode, Health, Message, Metrics, Sample, Step
+from common.topics import CHUNK, EPISODE, HAND_JOINTS, HEALTH, METRICS, STEP, Topic
 from deploy.viewer.control import ControlDrawer
-from deploy.viewer.drawing import Drawing
+from deploy.viewer.drawing import Drawing, When
+from deploy.viewer.hand import HandDrawer
 from deploy.viewer.others import HealthDrawer, draw_episode, draw_metrics
 from deploy.viewer.steps import StepCounter
 from services.sim.kinematics import SceneKinematics
 
-DRAWN: tuple[Topic, ...] = (EPISODE, CHUNK, METRICS, STEP, HEALTH)
+DRAWN: tuple[Topic, ...] = (EPISODE, CHUNK, METRICS, STEP, HEALTH, HAND_JOINTS)
 
 
 class Drawer:
@@ -21,6 +25,7 @@ class Drawer:
         self._steps = StepCounter()
         self._control = ControlDrawer(kinematics, self._steps, period_ns, ghost)
         self._health = HealthDrawer()
+        self._hand = HandDrawer()
 
     def draw(self, sample: Sample) -> list[Drawing]:
         """What a sample shows; nothing for messages that are not drawn."""
@@ -34,7 +39,11 @@ class Drawer:
                 return list(draw_episode(episode, now))
             case Metrics() as metrics:
                 return list(draw_metrics(self._task, metrics, now))
-            case Health() as health:
-                return list(self._health.draw(health, now))
             case _:
-                return []
+                return list(self._draw_state(sample.message, now))
+
+    def _draw_state(self, message: Message, now: When) -> Iterable[Drawing]:
+        """What services and hardware say of themselves."""
+        if isinstance(message, Health):
+            return self._health.draw(message, now)
+        return self._hand.draw(message, now) if isinstance(message, HandJoints) else ()

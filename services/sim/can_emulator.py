@@ -26,7 +26,6 @@ from common.dexhand021.commands import (
 from common.dexhand021.config import DexHandConfig
 from common.dexhand021.frames import Frame, Refusal, padded
 from common.dexhand021.replies import (
-    BoardFeedback,
     ConfigReply,
     ErrorReport,
     MotorFlag,
@@ -76,6 +75,7 @@ class EmulatedHand:
         self._off = False  # without power
         self._last_round: list[Frame] = []
         self.sensors = Sensors(twin, hand.signs)
+        self._statuses = [self._status(now_ns, board) for board in range(len(BOARDS))]
         self.powered: Bools = np.zeros(MOTORS, np.bool_)
         self.counts: Counter[str] = Counter()
 
@@ -90,10 +90,9 @@ class EmulatedHand:
         if isinstance(command, Refusal):
             self.counts["refused"] += 1
             return []
-        answers = [self._encode(reply) for reply in self._obey(now_ns, command)]
-        return self._disturbed(now_ns, answers)
+        return self._disturbed(now_ns, self._obey(now_ns, command))
 
-    def _obey(self, now_ns: int, command: Command) -> list[Reply]:
+    def _obey(self, now_ns: int, command: Command) -> list[Frame]:
         match command:
             case BroadcastMotion():
                 if command.hand is not self._hand.hand:
@@ -101,7 +100,7 @@ class EmulatedHand:
                 for board in range(len(BOARDS)):
                     self._move(now_ns, board, command.mode, command.motors[2 * board : 2 * board + 2])
                 heard = [b for b in range(len(BOARDS)) if not self._deaf(now_ns, b)]
-                return [self._status(now_ns, board) for board in heard] if command.request_feedback else []
+                return [self._statuses[board] for board in heard] if command.request_feedback else []
             case _:
                 hand, board = hand_and_board(command.board)
                 if hand is not self._hand.hand or self._deaf(now_ns, board):
@@ -113,18 +112,19 @@ class EmulatedHand:
         now_ns: int,
         board: int,
         command: BoardMotion | ShortMotion | ClearError | FeedbackSetting | NvmRead,
-    ) -> Reply:
+    ) -> Frame:
         match command:
             case BoardMotion() | ShortMotion():
                 self._move(now_ns, board, command.mode, command.motors)
-                return self._status(now_ns, board)
+                return self._statuses[board]
             case ClearError():
                 self._latched[2 * board : 2 * board + 2] = False
-                return ConfigReply(command.board, CLEAR_ERROR, ok=True)
+                return self._encode(ConfigReply(command.board, CLEAR_ERROR, ok=True))
             case FeedbackSetting():  # only answers to commands are emulated, which is the default
-                return ConfigReply(command.board, CONFIGURE_FEEDBACK, ok=command.mode is FeedbackMode.QUERY)
+                only = command.mode is FeedbackMode.QUERY
+                return self._encode(ConfigReply(command.board, CONFIGURE_FEEDBACK, ok=only))
             case NvmRead():
-                return NvmReply(command.board, command.address, self._memory(command))
+                return self._encode(NvmReply(command.board, command.address, self._memory(command)))
 
     def _memory(self, command: NvmRead) -> int:
         values = {
@@ -183,6 +183,7 @@ class EmulatedHand:
         # What a motor does while it has no torque is where it starts from when it gets some.
         here = np.clip(self.sensors.angle_rad, LOW_RAD, HIGH_RAD)
         self._target_rad = np.where(self.powered, self._target_rad, here)
+        self._statuses = [self._status(now_ns, board) for board in range(len(BOARDS))]
         return said
 
     def _drifting(self, now_ns: int) -> Floats:
@@ -222,7 +223,7 @@ class EmulatedHand:
     def _id(self, board: int) -> int:
         return board_id(self._hand.hand, board)
 
-    def _status(self, now_ns: int, board: int) -> BoardFeedback:
+    def _status(self, now_ns: int, board: int) -> Frame:
         warm_c = round(self.faults.amount(now_ns, FaultKind.WARM, board)) or COOL_C
         blind = self.faults.active(now_ns, FaultKind.NAN_TACTILE, board)
-        return self.sensors.status(board, self._id(board), warm_c, self._latched, blind)
+        return self._encode(self.sensors.status(board, self._id(board), warm_c, self._latched, blind))

@@ -26,6 +26,7 @@ from services.sim.emulator_sensors import TwinLike
 
 FAULT_QUERY = "emulator/fault"
 READ_TIMEOUT_S = 0.1
+SWITCH_S = 0.0005  # between threads of such a process: an answer must not wait 5 ms for a round of physics
 LIFT_M = 0.002  # the die is laid down from so high
 NS_PER_S = 1e9
 

@@ -2,6 +2,7 @@
 
 import random
 import time
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -29,12 +30,20 @@ def rig(shared):
     yield shared
     assert shared.twin.within_limits  # on the joints themselves, not on the commands
     assert shared.emulator.hand.counts["beyond_range"] == 0
-    assert_nothing_lost([sample for sample in shared.steps[begin:]])
+    assert_nothing_lost(shared.steps[begin:])
+
+
+def all_powered(rig):
+    return bool(rig.emulator.hand.powered.all())
+
+
+def none_powered(rig):
+    return not rig.emulator.hand.powered.any()
 
 
 def assert_nothing_lost(samples):
     """Within each start of an episode, k counts up by one."""
-    for before, after in zip(samples, samples[1:], strict=False):
+    for before, after in pairwise(samples):
         same = (before.header.boot_id, before.message.episode) == (
             after.header.boot_id,
             after.message.episode,
@@ -75,7 +84,7 @@ def test_a_fingertip_that_says_nan_makes_forces_invalid_and_nothing_else(rig):
     rig.inject(FaultKind.NAN_TACTILE, board="thumb", for_s=0.4)
     rig.wait(lambda: rig.steps[-1].message.part_valid.tolist() == [1, 0, 1, 1], "invalid forces")
     rig.wait(lambda: rig.told("no force: thumb"), "the fingertip to be told")
-    rig.wait(lambda: rig.steps[-1].message.part_valid.all(), "valid forces")
+    rig.wait(lambda: bool(rig.steps[-1].message.part_valid.all()), "valid forces")
     assert rig.state == "running"
 
 
@@ -84,7 +93,7 @@ def test_a_board_that_is_briefly_silent_makes_its_parts_invalid(rig):
     rig.wait(lambda: not rig.steps[-1].message.part_valid[0], "invalid angles")
     old = rig.steps[-1].message
     assert old.part_age_ms[0] > 250 > old.part_age_ms[2]
-    rig.wait(lambda: rig.steps[-1].message.part_valid.all(), "valid angles")
+    rig.wait(lambda: bool(rig.steps[-1].message.part_valid.all()), "valid angles")
     assert rig.state == "running"
 
 
@@ -116,13 +125,13 @@ def test_a_warm_board_rests_below_the_hands_own_limit_while_the_others_work(rig)
     rig.wait(lambda: not rig.emulator.hand.powered[10:].any(), "the pause")
     others = [*range(2), *range(4, 10)]  # the palm has no thermometer: it rests with the warmest
     assert rig.emulator.hand.powered[others].all() and rig.state == "running"
-    rig.wait(lambda: rig.emulator.hand.powered.all(), "the end of the pause")
+    rig.wait(lambda: all_powered(rig), "the end of the pause")
 
 
 def test_bus_off_is_a_fault_the_bus_is_opened_again_and_the_hand_stays_in_hold(rig):
     rig.inject(FaultKind.BUS_OFF, for_s=0.5)
     rig.wait(lambda: rig.state == "fault" and rig.told("bus off"), "the fault")
-    rig.wait(lambda: not rig.emulator.hand.powered.any(), "limp motors")
+    rig.wait(lambda: none_powered(rig), "limp motors")
     rig.wait(lambda: rig.state == "hold" and not rig.joint.faults, "hold")
     time.sleep(0.2)
     assert rig.state == "hold" and not rig.emulator.hand.powered.any()
@@ -131,7 +140,7 @@ def test_bus_off_is_a_fault_the_bus_is_opened_again_and_the_hand_stays_in_hold(r
 def test_who_disarms_a_hand_keeps_it_disarmed_and_it_lets_go_after_a_while(rig):
     assert rig.arm(ArmWish.DISARM).accepted
     rig.wait(lambda: rig.state == "hold", "hold")
-    rig.wait(lambda: not rig.emulator.hand.powered.any(), "no torque")
+    rig.wait(lambda: none_powered(rig), "no torque")
     assert rig.arm(ArmWish.STATUS).state == "hold"
 
 

@@ -77,7 +77,7 @@ class DrivenService:
         self.frame, self.pose = GOOD_FRAME, POSE
         self.steps, self.commands, self.replies = [], [], []
 
-    def send(self, topic, message, boot=22, seq=None, t_ns=None, valid=True):
+    def send(self, topic, message, boot=22, *, seq=None, t_ns=None, valid=True):
         number = self._seq[topic.key] if seq is None else seq
         self._seq[topic.key] = number + 1
         header = Header(boot, number, self.now_ns if t_ns is None else t_ns, valid)

@@ -117,7 +117,7 @@ def test_heat_powers_the_hand_off_and_boards_start_anew():
     answers = [bench.go() for _ in range(12)]
     assert bench.said[0] == OverTemperature(11) and bench.move() != []
     assert [reply.board for reply in bench.said[1:] if isinstance(reply, Startup)] == list(range(7, 13))
-    assert [len(each) for each in answers[:9]] == [6, 6, 0, 0, 0, 0, 0, 6, 6] or sum(map(len, answers)) < 60
+    assert [len(each) for each in answers[:9]] == [6, 6, 0, 0, 0, 0, 0, 6, 6]
 
 
 def test_declared_disturbances_of_the_bus():

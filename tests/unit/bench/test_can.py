@@ -1,0 +1,49 @@
+"""The bench of the hand's bus, briefly: that it measures, not what."""
+
+import json
+
+import pytest
+
+from bench import can
+from bench.can import LIMITS, Measured, main, measure, result
+from common.can_link import Busy
+from common.dexhand021 import device
+from common.dexhand021.replies import BoardFeedback, MotorState
+
+
+class Answering:
+    """A bus on which six boards answer at once, save to the commands in `lost` and `full`."""
+
+    def __init__(self, lost=(), full=()):
+        self.lost, self.full, self.commands, self.waiting = lost, full, 0, []
+
+    def send(self, frame):
+        self.commands += 1
+        if self.commands in self.full:
+            raise Busy
+        boards = range(7, 12 if self.commands in self.lost else 13)
+        motors = (MotorState(0, 0, 0, 0),) * 2
+        self.waiting += [device.encode(BoardFeedback(board, motors), 16) for board in boards]
+
+    def receive(self, _timeout_s):
+        return self.waiting.pop(0) if self.waiting else None
+
+
+def test_cycles_without_the_sixth_answer_are_lost_and_the_others_timed(monkeypatch):
+    monkeypatch.setattr(can, "LOST_MS", 5.0)
+    found = measure(Answering(lost=(2, 5), full=(7,)), 10, 200.0)
+    assert (len(found.round_trips_ms), found.lost, found.unsent) == (7, 2, 1)
+    figures = result(found, 10, 200.0)
+    assert figures["lost_cycles"] == 3 and set(LIMITS) <= set(figures)
+    assert figures["passed"] is (figures["round_trip_ms_p50"] <= 2 and figures["round_trip_ms_p99"] <= 8)
+
+
+def test_too_many_lost_cycles_do_not_pass():
+    assert result(Measured([1.0, 1.0], lost=21), 23, 100.0)["passed"] is False
+
+
+@pytest.mark.processes
+def test_it_measures_a_hand_in_another_process(capsys):
+    main(["--cycles", "50", "--json"])
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["cycles"] == 50 and 0 < figures["round_trip_ms_p50"] <= figures["round_trip_ms_p99"]
