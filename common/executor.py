@@ -56,6 +56,7 @@ class ActionBuffer:
         """Begin an episode: forget every action, the last command included."""
         self._last = self._zero
         self._held = 0
+        self._held_from = 0  # of a mirror: the first step without a plan
         self._newest = (0, -1)
         self.change_goal(plant_boot_id, episode, goal_seq)
 
@@ -135,6 +136,13 @@ class ActionBuffer:
                 last = last if held <= self._hold_steps else self._zero
             actions[row] = last
         return actions
+
+    def follow(self, k: int, action: Float32, held: bool) -> None:
+        """Keep a mirror in step: before step k the plant executed `action`, for want of a plan if `held`."""
+        self._slots = {index: slot for index, slot in self._slots.items() if index >= k}
+        self._last = action
+        self._held_from = self._held_from if held else k
+        self._held = max(0, k - self._held_from)
 
     def executed(self, action: Float32) -> None:
         """Tell a mirror of the plant's buffer what the plant last executed, so that a hold is predicted."""

@@ -15,6 +15,7 @@ import numpy as np
 from common.cell import ControlConfig
 from common.executor import ActionBuffer, Executed
 from common.messages import Ack, Chunk, Episode, Fallback, Float32, Mode, Sample, Step, UInt8, Warmup
+from common.round_trips import RoundTrips
 from common.service import Output, Publish
 from common.task import Task
 from common.topics import STEP
@@ -31,7 +32,7 @@ class Phase(StrEnum):
     DONE = "episode finished"
 
 
-ROUND_TRIPS = 16_384  # plans that the reported delays are taken over
+ANNOUNCE_S = 0.5  # how often a plant that stands still asks for a plan
 ACTIVE = (Phase.RUNNING, Phase.WAITING, Phase.RESETTING)
 
 
@@ -66,31 +67,6 @@ class Hand(Protocol):
         ...
 
 
-class _RoundTrips:
-    """How long plans took on the plant's own clock, from the step that they start from to their arrival."""
-
-    def __init__(self) -> None:
-        self._ms = np.zeros((2, ROUND_TRIPS), np.float32)  # (age and overhead, newest plans)
-        self._count = 0
-
-    def add(self, age_ms: float, solve_ms: float) -> None:
-        """Note one plan; its overhead is what was not solving: encoding, transport, waiting."""
-        self._ms[:, self._count % ROUND_TRIPS] = age_ms, age_ms - solve_ms
-        self._count += 1
-
-    def fields(self) -> dict[str, float]:
-        """Quantiles in ms, for the heartbeat; none before the first plan."""
-        if not self._count:
-            return {}
-        ordered = np.sort(self._ms[:, : self._count], axis=1)  # a tenth of what np.percentile takes
-        ranks = {"p50": 0.5, "p99": 0.99, "max": 1.0}
-        return {
-            f"{what}_ms_{name}": float(row[round(rank * (len(row) - 1))])
-            for what, row in zip(("plan_age", "overhead"), ordered, strict=True)
-            for name, rank in ranks.items()
-        }
-
-
 class PlantLoop:
     """State machine of a plant's episodes: never waits for anybody while one runs.
 
@@ -111,12 +87,14 @@ class PlantLoop:
         self._seen: Seen | None = None
         self._k = 0
         self._announced = -1  # step that was published as waiting
+        self._silent_ticks = 0  # since then
+        self._patience_ticks = max(1, round(ANNOUNCE_S * control.rate_hz))
         self._nothing = Executed(np.zeros(task.action_dim, np.float32), -1, -1, Fallback.NONE, False)
         self._previous = self._nothing  # executed before the present step
         self._warmup: WarmupActions | None = None
         self._unacknowledged: set[tuple[int, int]] = set()
         self._counts: Counter[str] = Counter()
-        self._round_trips = _RoundTrips()
+        self._round_trips = RoundTrips()
 
     def fields(self) -> dict[str, float]:
         """Counts since the start of the process."""
@@ -196,6 +174,7 @@ class PlantLoop:
 
     def _change_goal(self, episode: Episode) -> list[Output]:
         self.episode = episode
+        self._announced = -1  # a plant that waits asks anew, for a plan to the new goal
         self._buffer.change_goal(self.boot_id, episode.episode, episode.goal_seq)
         if not episode.goal.size:
             return []
@@ -232,8 +211,10 @@ class PlantLoop:
         return out
 
     def _wait(self, ticks: int) -> list[Output]:
-        if self._announced < self._k:
-            self._announced = self._k
+        self._silent_ticks += ticks
+        lost = not self._planned() and self._silent_ticks >= self._patience_ticks
+        if self._announced < self._k or lost:  # the step, or the plan for it, may have got lost
+            self._announced, self._silent_ticks = self._k, 0
             return self._publish_step(waiting=True)
         if self._planned() and (ticks or self._control.synchronous):
             self.phase = Phase.RUNNING

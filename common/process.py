@@ -37,6 +37,9 @@ def run_process(name: str, model: type[ProcessT], build: Callable[[ProcessT, int
     except ConfigError as error:
         print(error, file=sys.stderr)
         _exit(2)
+    except ValueError as error:  # values that are valid one by one but not together
+        print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
+        _exit(2)
     _exit(_serve(built, config, boot_id))
 
 

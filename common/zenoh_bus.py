@@ -27,7 +27,7 @@ HEARTBEAT_S = 0.2  # publishers of recovered topics say how far they are: bounds
 QUEUE = 1024  # samples between Zenoh's threads and ours; when full, Zenoh waits and nothing is lost here
 # Of topics that block their sender only the newest matter; but a few must fit, or bad ones, which are refused
 # only behind this queue, would push a good one out unseen.
-BULK_QUEUE = 16
+BULK_QUEUE = 64
 
 _PRIORITIES = {
     Priority.REAL_TIME: zenoh.Priority.REAL_TIME,

@@ -137,6 +137,14 @@ class Mpc:
         self._memory = _Memory(goal.clone(), start_left, knots.expand(_best_first(found)))
         return _describe(problem, found, prefix)
 
+    @torch.no_grad()
+    def predict(self, state: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and deviation (T, S) over particles of the states after s_k (S,) under actions (T, A)."""
+        if self._rollout is None:
+            raise RuntimeError("no model yet: call set_model first")
+        noise = torch.Generator(state.device).manual_seed(0)
+        return mean_and_std(self._rollout.prefix(state, actions, noise)[1:])
+
     def _horizon(self, start_left: int) -> int:
         if not self._config.horizon_to_episode_end:
             return self._config.horizon

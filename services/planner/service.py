@@ -10,10 +10,10 @@ import numpy as np
 from common.bus import Inbox, Input, JobResult
 from common.cell import SharedConfig
 from common.executor import ActionBuffer
-from common.messages import Chunk, Float32, Header, Mode, SnapshotMessage, Step
+from common.messages import Chunk, Fallback, Float32, Header, Mode, Sample, SnapshotMessage, Step
 from common.service import Job, Output, Publish, Report
 from common.task import Task
-from common.topics import CHUNK, SNAPSHOT, STEP
+from common.topics import CHUNK, METRICS, SNAPSHOT, STEP
 from services.planner.config import PlannerConfig
 from services.planner.mpc import steps_per_plan
 from services.planner.solver import Prepared, Request, Solution, Solver, held_noise
@@ -21,6 +21,9 @@ from services.planner.solver import Prepared, Request, Solution, Solver, held_no
 SOLVE_WINDOW = 200
 RETRY_NS = 500_000_000  # after a plan that failed
 DIVERGED_SCORE = -1e30  # stands for the -inf of a plan of which every candidate diverged
+SNAPSHOT_NS = 2_000_000_000  # how long a snapshot may be on its way
+AUTO_PLANS = 20  # measured before x = auto goes by them: the first ones are slow
+AUTO_MARGIN_MS = 3.0  # for the way to the plant and back
 AUTO_QUANTILE = 0.95  # x = auto is set by the solve time that 95 % of the plans stay below
 
 
@@ -30,6 +33,8 @@ class _Progress:
 
     identity: tuple[int, int, int]  # plant boot, episode, goal
     planned_from: int = -1  # first step of the newest chunk that was requested
+    answered_seq: int = -1  # of the newest step when the newest chunk was sent
+    x: int = 1
     noise: Float32 | None = None
 
 
@@ -40,6 +45,7 @@ class PlannerService:
     inputs = (
         Input(STEP, newest=True, wake=True),
         Input(SNAPSHOT, newest=True, wake=True),
+        Input(METRICS, newest=True),
     )
     period_ns: int | None = RETRY_NS
 
@@ -60,6 +66,7 @@ class PlannerService:
         self._loading = False
         self._sent = 0
         self._not_before_ns = 0
+        self._awaited = ""
         self._latency_ns = round(planner.declared_solve_ms * 1e6)
         self._solve_ms: deque[float] = deque(maxlen=SOLVE_WINDOW)
         self._wait_ms: deque[float] = deque(maxlen=SOLVE_WINDOW)
@@ -71,9 +78,9 @@ class PlannerService:
         out: list[Output] = []
         newest = inbox.newest(STEP)
         for result in inbox.results:
-            self._take_result(result, now_ns, self._next_k(newest.message if newest else None), out)
-        rested = now_ns >= self._not_before_ns
-        if newest is not None and rested:
+            self._take_result(result, now_ns, newest, out)
+        self._awaited = self._awaited_snapshot(inbox, now_ns)
+        if newest is not None and now_ns >= self._not_before_ns:
             begun = self._consider(newest.header, newest.message, out)
             if begun and not newest.message.waiting:
                 self._wait_ms.append(inbox.status(STEP, now_ns).age_ns / 1e6)
@@ -89,7 +96,7 @@ class PlannerService:
     def report(self) -> Report:
         """Plan times over the last plans, counts since the start of the process."""
         p50, p99 = np.percentile(self._solve_ms, (50, 99)) if self._solve_ms else (0.0, 0.0)
-        fields = {"plan_ms_p50": float(p50), "plan_ms_p99": float(p99), "x": float(self._x())}
+        fields = {"plan_ms_p50": float(p50), "plan_ms_p99": float(p99), "x": float(self._progress.x)}
         fields["plan_wait_ms_max"] = max(self._wait_ms, default=0.0)  # from a step's arrival on
         fields |= {
             key: float(self._counts[key])
@@ -106,19 +113,28 @@ class PlannerService:
         return "planning" if self._solving else "ready"
 
     def _x(self) -> int:
+        """x as configured, or for `auto` from the solve times so far; always less than the horizon."""
         if isinstance(self._control.steps_per_plan, int):
             return self._control.steps_per_plan
-        if not self._solve_ms:
-            return steps_per_plan(self._control.rate_hz, self._config.declared_solve_ms / 1e3)
-        return steps_per_plan(self._control.rate_hz, float(np.quantile(self._solve_ms, AUTO_QUANTILE)) / 1e3)
+        enough = len(self._solve_ms) >= AUTO_PLANS
+        solve_ms = np.quantile(self._solve_ms, AUTO_QUANTILE) if enough else self._config.declared_solve_ms
+        x = steps_per_plan(self._control.rate_hz, float(solve_ms + AUTO_MARGIN_MS) / 1e3)
+        return min(x, max(1, self._config.horizon - 1))
+
+    def _awaited_snapshot(self, inbox: Inbox, now_ns: int) -> str:
+        """The id of a snapshot that the learner has told of and that is still on its way here, if any.
+
+        It is large and travels behind everything else; after SNAPSHOT_NS it counts as lost.
+        """
+        told = inbox.newest(METRICS)
+        if told is None or inbox.status(METRICS, now_ns).age_ns > SNAPSHOT_NS:
+            return ""
+        have = self._model.snapshot_id if self._model else ""
+        return "" if told.message.snapshot_id == have else told.message.snapshot_id
 
     # --- results ---------------------------------------------------------------------------------
 
-    def _next_k(self, step: Step | None) -> int:
-        """The first step whose action the plant has not chosen yet."""
-        return 0 if step is None else step.k + (not step.waiting)
-
-    def _take_result(self, result: JobResult, now_ns: int, next_k: int, out: list[Output]) -> None:
+    def _take_result(self, result: JobResult, now_ns: int, newest: Sample | None, out: list[Output]) -> None:
         if result.name == "load":
             self._loading = False
             self._take_model(result)
@@ -131,7 +147,7 @@ class PlannerService:
             self._not_before_ns = now_ns + RETRY_NS
         elif isinstance(result.value, Solution) and request is not None:
             self._last_error = ""
-            self._publish(result.value, result.duration_ns / 1e6, next_k, out)
+            self._publish(result.value, result.duration_ns / 1e6, newest, out)
 
     def _take_model(self, result: JobResult) -> None:
         if not isinstance(result.value, Prepared):
@@ -150,7 +166,7 @@ class PlannerService:
         out.append(Job("load", self._solver.prepare, (self._unloaded.payload,), lane="load"))
         self._unloaded = None
 
-    def _publish(self, solution: Solution, solve_ms: float, next_k: int, out: list[Output]) -> None:
+    def _publish(self, solution: Solution, solve_ms: float, newest: Sample | None, out: list[Output]) -> None:
         """Send the chunk unless the goal it was made for is gone."""
         self._solve_ms.append(solve_ms)
         self._counts["plans"] += 1
@@ -160,7 +176,10 @@ class PlannerService:
             self._counts["stale_plans"] += 1
             return
         chunk = self._chunk(solution, solve_ms)
-        self._mirror.offer(chunk, self._sent, next_k)
+        if newest is not None:
+            # The first step whose action the plant has not chosen yet.
+            self._mirror.offer(chunk, self._sent, newest.message.k + (not newest.message.waiting))
+            self._progress.answered_seq = newest.header.seq
         self._sent += 1
         out.append(Publish(CHUNK, chunk, valid=solution.valid))
 
@@ -194,7 +213,8 @@ class PlannerService:
         if not (header.valid and step.part_valid.all()):
             self._counts["invalid_states"] += 1
             return False
-        outdated = step.waiting and self._loading  # a plant that stands still can wait for the newest model
+        # A plant that stands still can wait for the newest model.
+        outdated = step.waiting and (self._loading or bool(self._awaited))
         if self._solving or self._model is None or outdated:
             return False
         request = self._request(header, step)
@@ -210,19 +230,21 @@ class PlannerService:
         identity = (header.boot_id, step.episode, step.goal_seq)
         if identity[:2] != self._progress.identity[:2]:
             self._mirror.reset(*identity)
-            self._progress = _Progress(identity)
+            self._progress = _Progress(identity, x=self._x())  # one x for a whole episode
         elif identity != self._progress.identity:
             self._mirror.change_goal(*identity)
             self._progress.identity = identity
             self._progress.planned_from = -1
-        self._mirror.executed(step.prev_action)
+        held = step.fallback in (Fallback.HOLD, Fallback.RELAX)
+        self._mirror.follow(step.k, step.prev_action, held)
 
     def _request(self, header: Header, step: Step) -> Request | None:
         """Decide what to plan from this step, if anything: every x steps, or once the planner is free."""
-        x = self._x()
+        x = self._progress.x
         ahead = 0 if step.waiting or self._control.synchronous else x
         first_k = step.k + ahead
-        due = self._progress.planned_from < 0 or first_k >= self._progress.planned_from + x
+        asked_again = step.waiting and header.seq > self._progress.answered_seq
+        due = asked_again or self._progress.planned_from < 0 or first_k >= self._progress.planned_from + x
         already = self._control.synchronous and not step.waiting
         if not due or already or first_k >= step.steps:
             return None

@@ -15,6 +15,8 @@ from services.planner.config import PlannerConfig
 from services.planner.mpc import Mpc
 from services.planner.particles import Particles, particles
 
+PREDICTION_LIMIT = 1e6  # what the codec lets pass
+
 
 @dataclass(frozen=True)
 class Request:
@@ -92,21 +94,26 @@ class Solver:
             self._episode = (request.plant_boot_id, request.episode)
             self._mpc.reset()
         device = self._config.device
+        state = torch.from_numpy(request.state.copy()).to(device)
         plan = self._mpc.plan(
-            torch.from_numpy(request.state.copy()).to(device),
+            state,
             torch.from_numpy(request.goal.copy()).to(device),
             torch.from_numpy(request.committed.copy()).to(device),
             request.steps - request.source_k,
             self._generator(request),
         )
-        ahead = len(request.committed)
-        expected = min(ahead + request.commit, len(plan.predicted_mean)) - 1
+        actions = self._explored(plan.actions.cpu().numpy(), request)
+        mean, std = plan.predicted_mean, plan.predicted_std
+        if request.noise.any():  # what will be executed is not what was planned
+            executed = np.concatenate([request.committed, actions])
+            mean, std = self._mpc.predict(state, torch.from_numpy(executed).to(device))
+        expected = min(len(request.committed) + request.commit, len(mean)) - 1
         return Solution(
             request=request,
-            actions=self._explored(plan.actions.cpu().numpy(), request),
+            actions=actions,
             predicted_k=request.source_k + expected + 1,
-            predicted_state=plan.predicted_mean[expected].cpu().numpy(),
-            predicted_std=plan.predicted_std[expected].cpu().numpy(),
+            predicted_state=_sendable(mean[expected]),
+            predicted_std=_sendable(std[expected]),
             score=plan.score,
             valid=plan.valid,
             snapshot_id=prepared.snapshot_id,
@@ -124,6 +131,11 @@ class Solver:
         actions = actions.copy()
         actions[: len(noise)] += noise
         return np.clip(actions, -1.0, 1.0)
+
+
+def _sendable(prediction: torch.Tensor) -> Float32:
+    """A prediction (S,) that a message may carry, however far the model has diverged."""
+    return np.nan_to_num(prediction.cpu().numpy(), nan=0.0).clip(-PREDICTION_LIMIT, PREDICTION_LIMIT)
 
 
 def held_noise(seed: int, episode: int, steps: int, action_dim: int, *, std: float, redraw: float) -> Float32:

@@ -191,3 +191,13 @@ def test_every_step_is_executed_once_and_accounted_for(script):
         made.take(k)
     counts = made.counts
     assert counts["planned"] + counts["hold"] + counts["relax"] == len(script)
+
+
+def test_a_mirror_that_follows_a_holding_plant_predicts_when_it_relaxes():
+    mirror = ActionBuffer(A, 0, hold_steps=3)
+    mirror.reset(1, 2, 3)
+    last = np.full(A, 0.5, np.float32)
+    mirror.follow(4, last, held=False)
+    for k in (5, 6):
+        mirror.follow(k, last, held=True)
+    assert np.array_equal(mirror.peek(6, 3), [last, 0 * last, 0 * last])  # held at 4, 5, 6: then relaxed

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from common.messages import Mode
-from common.topics import SNAPSHOT, STEP
+from common.topics import METRICS, SNAPSHOT, STEP
 from services.planner.config import PlannerConfig
-from tests.samples import LEARNER, PLANT, A, S, snapshot, step
+from tests.samples import LEARNER, METRICS_0, PLANT, A, S, snapshot, step
 from tests.unit.services.drivers import H, Planner
 
 
@@ -202,18 +202,43 @@ def test_a_plan_of_which_every_candidate_diverged_is_counted_and_sent_as_invalid
     assert [c.score for c in planner.chunks] == [-1.0, -2.0, -3.0, -1e30]  # finite, as the wire wants it
 
 
-def test_x_auto_follows_the_measured_solve_time():
-    planner = Planner(PlannerConfig(declared_solve_ms=90.0), steps_per_plan="auto")
+def episode_of_plans(planner, number, milliseconds):
+    """One episode of ten steps, each plan of which takes so long; returns the x that it was planned with."""
+    for k in range(10):
+        planner.show(STEP, step(k, episode=number))
+        while planner.queue:
+            planner.work(milliseconds=milliseconds)
+    return planner.fields["x"]
+
+
+def test_x_auto_follows_the_measured_solve_time_from_one_episode_to_the_next():
+    planner = Planner(PlannerConfig(declared_solve_ms=90.0, horizon=8), steps_per_plan="auto")
     planner.show(STEP, step(0))
     assert asked(planner) == [(0, 3, 3)]  # 25 Hz, 90 ms as declared
-    planner.work(milliseconds=30)
-    planner.show(STEP, step(3))
-    assert asked(planner)[1:] == [(3, 4, 1)]
+    taken = [episode_of_plans(planner, number, 30) for number in range(4, 20)]
+    assert taken[0] == 3  # too few plans to go by
+    assert taken[-1] == 1
     assert planner.requests[-1].commit == 1
-    planner.work(milliseconds=200)
-    planner.show(STEP, step(4))
-    assert planner.requests[-1].commit == 5
-    assert (planner.fields["x"], planner.fields["plan_ms_p50"]) == (5, 115)
+    later = [episode_of_plans(planner, number, 1000) for number in range(20, 24)]
+    assert later[-1] == 7  # never as far as the plan itself
+
+
+def test_a_plant_that_asks_again_is_answered_again():
+    """The first chunk may have got lost: chunks are neither kept nor repeated by the bus."""
+    planner = Planner()
+    for asking in (1, 2):
+        planner.show(STEP, step(0, waiting=True))
+        planner.work()
+        assert asked(planner) == [(0, 0, 0)] * asking
+
+
+def test_a_plant_that_stands_waits_for_the_snapshot_that_the_learner_has_told_of():
+    planner = Planner()
+    planner.show(METRICS, replace(METRICS_0, snapshot_id="on its way"))
+    planner.show(STEP, step(0, waiting=True))
+    assert asked(planner) == []
+    planner.turn(100)  # four seconds: lost, then, and the old one has to do
+    assert asked(planner) == [(0, 0, 0)]
 
 
 def test_synchronous_plans_from_the_state_itself_and_only_when_the_plant_waits():

@@ -43,6 +43,22 @@ def test_with_start_plan_it_stands_until_a_plan_covers_step_0_and_says_so_once()
     assert plant.steps[0].state[0] == plant.steps[1].state[0] == np.float32(0.01)
 
 
+def test_a_plant_that_stands_asks_again_every_half_second_until_a_plan_is_there():
+    plant = Plant()
+    plant.begin()
+    asked = [len(plant.turn(1)) for _ in range(30)]
+    assert [tick for tick, count in enumerate(asked, start=1) if count] == [12, 24]  # at 25 Hz
+    assert of(plant.steps) == [(0, True, False)] * 3
+
+
+def test_a_goal_that_changes_while_it_stands_is_asked_for():
+    plant = Plant()
+    plant.begin()
+    plant.send(EPISODE, episode(goal_seq=1, goal=np.full(G, 0.5, np.float32)))
+    (told,) = plant.turn(1)
+    assert (told.k, told.waiting, told.goal_seq) == (0, True, 1)
+
+
 def test_with_start_zero_it_executes_x_zeros_and_then_what_was_planned():
     plant = Plant(start="zero")
     assert plant.begin() == []
