@@ -29,7 +29,13 @@ def build(config: LearnerProcess, boot_id: int) -> Built:
     keep_freed_memory()
     task = get_task(config.task)
     directory = config.run_dir / "learner"
-    store = EpisodeStore(directory / "episodes", task.state_dim, task.action_dim, config.learner.holdout)
     trainer = Trainer(config.learner, config.model, task, config.seed, config.learner.device)
+    store = EpisodeStore(
+        directory / "episodes",
+        task.state_dim,
+        task.action_dim,
+        config.learner.holdout,
+        trainer.dynamics.quaternions,
+    )
     worker = LearnerWorker(directory, store, trainer)
     return Built(LearnerService(config.learner, config.warmup_steps, worker, boot_id))

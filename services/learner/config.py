@@ -69,19 +69,19 @@ class LearnerConfig(Frozen):
         default=256, ge=1, description="N, windows a member in each gradient step; DPETS takes 30"
     )
     warmup_updates: int = Field(
-        default=1000, ge=0, description="gradient steps of the first update, on the warm-up data"
+        default=1000, ge=1, description="gradient steps of the first update, on the warm-up data"
     )
     updates_per_episode: int = Field(
         default=100,
-        ge=0,
+        ge=1,
         description="gradient steps after each episode; reach did with 40, 5 epochs are about 20 n",
     )
     slice_updates: int = Field(default=20, ge=1, description="gradient steps in one job")
     holdout: float = Field(
-        default=0.0,
+        default=0.05,
         ge=0.0,
         lt=1.0,
-        description="share of episodes kept out of training; 0.1 gives honest figures",
+        description="share of episodes kept out of training; 0: no errors and no calibration are told",
     )
     recent_fraction: float = Field(
         default=0.0,

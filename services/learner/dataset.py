@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from common.storage import sweep_partial, write_atomically
@@ -16,8 +17,15 @@ class EpisodeStore:
     counts half-written files that a dead writer left (they are removed).
     """
 
-    def __init__(self, directory: Path, state_dim: int, action_dim: int, holdout: float = 0.0) -> None:
-        self.replay = Replay(state_dim, action_dim, holdout)
+    def __init__(
+        self,
+        directory: Path,
+        state_dim: int,
+        action_dim: int,
+        holdout: float = 0.0,
+        quaternions: Sequence[slice] = (),
+    ) -> None:
+        self.replay = Replay(state_dim, action_dim, holdout, quaternions)
         self.corrupt: list[str] = []
         self._directory = directory
         self._keys: dict[tuple[int, int], None] = {}  # in order of arrival

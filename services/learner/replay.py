@@ -6,6 +6,7 @@ Letters: B members, N windows, S state, A action, T steps of an episode.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from common.model.normaliser import Normaliser, RunningMoments
-from services.learner.episode import Episode
+from services.learner.episode import Episode, Float32
 
 Split = Literal["train", "holdout"]
 _GOLDEN = (math.sqrt(5) - 1) / 2
@@ -38,12 +39,18 @@ class Trajectories(NamedTuple):
 
 
 class Replay:
-    """Grows by whole episodes; a window never crosses an episode nor touches an invalid state."""
+    """Grows by whole episodes; a window never crosses an episode nor touches an invalid state.
 
-    def __init__(self, state_dim: int, action_dim: int, holdout: float = 0.0) -> None:
+    `quaternions` are the parts of the state that mean the same with the opposite sign.
+    """
+
+    def __init__(
+        self, state_dim: int, action_dim: int, holdout: float = 0.0, quaternions: Sequence[slice] = ()
+    ) -> None:
         self.state_dim, self.action_dim = state_dim, action_dim
         self.episodes = {"train": 0, "holdout": 0}
         self._holdout = holdout
+        self._quaternions = tuple(quaternions)
         self._states = _Rows(state_dim)
         self._actions = _Rows(action_dim)
         # run[i]: how many valid steps follow row i within its episode; -1 when row i itself is invalid
@@ -62,7 +69,7 @@ class Replay:
         self.episodes[split] += 1
         if split == "train":
             moved = runs[:-1] >= 1
-            deltas = np.diff(episode.states, axis=0)[moved]
+            deltas = self._deltas(episode.states)[moved]
             self._moments.update(episode.states[episode.valid], episode.actions, deltas)
         return split
 
@@ -111,6 +118,14 @@ class Replay:
             starts = starts[np.linspace(0, len(starts) - 1, limit).astype(np.int64)]
         rows = torch.as_tensor(starts)[:, None] + torch.arange(steps + 1)
         return Trajectories(self._states.tensor()[rows], self._actions.tensor()[rows[:, :-1]])
+
+    def _deltas(self, states: Float32) -> Float32:
+        """(T + 1, S) → (T, S), as `Dynamics.target` sees them: a flipped sign would outweigh all motion."""
+        before, after = states[:-1], states[1:].copy()
+        for part in self._quaternions:
+            away = (before[:, part] * after[:, part]).sum(axis=1) < 0
+            after[away, part] *= -1
+        return after - before
 
     def _gather(self, start: Tensor) -> Windows:
         states, actions = self._states.tensor(), self._actions.tensor()

@@ -27,7 +27,7 @@ from services.learner.backprop import TrainedEnsemble
 from services.learner.config import LearnerConfig
 from services.learner.evaluation import ModelErrors, evaluate
 from services.learner.loss import LossTerms, loss_terms, weight_decay
-from services.learner.replay import Replay, Split, Windows
+from services.learner.replay import Replay, Windows
 
 
 class StateLayout(Protocol):
@@ -54,7 +54,7 @@ class SliceMetrics:
     updates: int  # gradient steps done in the slice
     skipped: int  # of them, steps not taken because the gradient was not finite
     learning_rate: float  # of the last step
-    gradient_norm: float  # before clipping
+    gradient_norm: float  # before clipping, of the steps taken
     loss: dict[str, float]  # each term of Eq. (4); weight decay as it is at the end
 
 
@@ -108,17 +108,18 @@ class Trainer:
             rate = self._rate()
             terms, norm = self._step(replay, rate)
             sums += torch.stack(terms).detach()
-            norms += norm
-            skipped += not math.isfinite(norm)
+            finite = math.isfinite(norm)
+            norms += norm if finite else 0.0
+            skipped += not finite
         loss = dict(zip(LossTerms._fields, (sums / max(1, count)).tolist(), strict=True))
         options = self.config.loss
         loss["weight_decay"] = weight_decay(self._ensemble, options.decay, options.decay_biases)
-        return SliceMetrics(count, skipped, rate, norms / max(1, count), loss)
+        return SliceMetrics(count, skipped, rate, norms / max(1, count - skipped), loss)
 
-    def evaluate_holdout(self, replay: Replay, split: Split = "holdout") -> ModelErrors:
-        """Errors and calibration per state group, each member with its first planning mask."""
+    def evaluate_holdout(self, replay: Replay) -> ModelErrors:
+        """Errors and calibration per state group, each member with its first planning mask; or nothing."""
         masks = self.plan_masks.particles(1) if self.model.dropout > 0.0 else None
-        return evaluate(self.dynamics, masks, replay, self.layout.groups, split=split)
+        return evaluate(self.dynamics, masks, replay, self.layout.groups)
 
     def snapshot(self, episodes: int) -> Snapshot:
         """An immutable copy of the model; `episodes` is how many it has seen."""

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from common.storage import write_atomically
 from services.learner.dataset import EpisodeStore
-from services.learner.episode import Episode
+from services.learner.episode import Episode, EpisodeRefused
 from services.learner.evaluation import ModelErrors
-from services.learner.trainer import Trainer, TrainerStateRefused
+from services.learner.trainer import SliceMetrics, Trainer, TrainerStateRefused
 
 CHECKPOINT = "checkpoint.safetensors"
 PROGRESS = "progress.json"
 SNAPSHOT = "snapshot.safetensors"
+NO_STEPS = SliceMetrics(0, 0, 0.0, 0.0, {})
 
 
 @dataclass(frozen=True)
@@ -30,13 +31,19 @@ class Stored:
 
 
 @dataclass(frozen=True)
+class Unfit:
+    """An episode that no further attempt could store; `reason` is one line."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
 class Trained:
     """What one slice of an update did; the last slice also brings the new snapshot and its errors."""
 
-    updates: int
+    metrics: SliceMetrics
     total_updates: int
     remaining: int
-    loss: dict[str, float]
     after_episode: int
     episodes: int
     steps: int
@@ -68,43 +75,46 @@ class LearnerWorker:
         return self._store.newest(count)
 
     @property
+    def damage(self) -> tuple[int, int]:
+        """Files at the start that were no episodes, and those that a dead writer had left half-written."""
+        return len(self._store.corrupt), self._store.leftovers
+
+    @property
     def untrained_episodes(self) -> int:
         """Episodes stored since the last finished update."""
         return len(self._store) - self._seen_episodes
 
-    def store(self, episode: Episode) -> Stored:
-        """Write an episode; when this returns it survives any crash. Raises EpisodeRefused."""
-        new = self._store.append(episode)
+    def store(self, episode: Episode) -> Stored | Unfit:
+        """Write an episode; when this returns `Stored` it survives any crash. Raises OSError."""
+        try:
+            new = self._store.append(episode)
+        except EpisodeRefused as error:
+            return Unfit(str(error))
         self._newest = max(self._newest, episode.episode)
         return Stored(episode.boot_id, episode.episode, episode.mode, *self.stored, new)
 
-    def train(self, begin: int) -> Trained:
-        """Work off one slice; `begin` > 0 first opens an update of that many gradient steps."""
-        if begin:
+    def train(self, begin: int | None = None) -> Trained:
+        """Work off one slice; with `begin` first open an update of that many gradient steps."""
+        if begin is not None:
             self._trainer.begin(self._store.replay, begin)
             self._seen_newest = self._newest
             self._seen_episodes = len(self._store)
         metrics = self._trainer.train_slice(self._store.replay)
-        if self._trainer.remaining:
-            return self._trained(metrics.updates, metrics.loss)
-        return self.finish(metrics.updates, metrics.loss)
+        return self._trained(metrics) if self._trainer.remaining else self.finish(metrics)
 
-    def finish(self, updates: int = 0, loss: dict[str, float] | None = None) -> Trained:
-        """Save the trainer, and return its model as a snapshot with errors on held-out episodes."""
+    def finish(self, metrics: SliceMetrics = NO_STEPS) -> Trained:
+        """Save the trainer, and return its model as a snapshot with errors on held-out episodes, if any."""
         snapshot = self._trainer.snapshot(self._seen_episodes)
         payload = snapshot.to_bytes()
-        held_out = self._store.replay.windows("holdout") > 0
-        errors = self._trainer.evaluate_holdout(self._store.replay, "holdout" if held_out else "train")
+        errors = self._trainer.evaluate_holdout(self._store.replay)
         self._save(payload)
-        trained = self._trained(updates, loss or {})
-        return Trained(**(vars(trained) | {"snapshot_id": snapshot.id, "payload": payload, "errors": errors}))
+        return replace(self._trained(metrics), snapshot_id=snapshot.id, payload=payload, errors=errors)
 
-    def _trained(self, updates: int, loss: dict[str, float]) -> Trained:
+    def _trained(self, metrics: SliceMetrics) -> Trained:
         return Trained(
-            updates=updates,
+            metrics=metrics,
             total_updates=self._trainer.updates,
             remaining=self._trainer.remaining,
-            loss=loss,
             after_episode=self._seen_newest,
             episodes=self._seen_episodes,
             steps=self._store.replay.steps,

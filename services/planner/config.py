@@ -29,7 +29,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
             "iterations": 1,
             "init_std": 0.3,
             "refine_sequences": 4,
-            "refine_steps": 8,
+            "refine_steps": 6,
             "refine_rate": 0.12,
         },
     }

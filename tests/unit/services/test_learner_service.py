@@ -1,103 +1,22 @@
 """The learner's service: what is stored, when it is acknowledged, what is learned from it, and restarts."""
 
 from collections import deque
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from common.messages import Mode
-from common.model.config import ModelConfig
 from common.model.snapshot import Snapshot
-from common.runner import run_job
-from common.service import Publish
 from common.topics import ACK, METRICS, SNAPSHOT, STEP
-from services.learner.config import LearnerConfig, LossConfig
-from services.learner.dataset import EpisodeStore
 from services.learner.loss import LossTerms
-from services.learner.service import LearnerService
-from services.learner.trainer import Trainer
-from services.learner.worker import CHECKPOINT, LearnerWorker
-from tests.samples import PLANT, TASK, A, Driver, S, jobs, published, step
-
-LENGTH = 5
-MODEL = ModelConfig(members=1, hidden=(4,), train_masks=1, plan_masks=1)
-CONFIG = LearnerConfig(
-    loss=LossConfig(decay=(0.0, 0.0)),
-    batch=4,
-    warmup_updates=3,
-    updates_per_episode=5,
-    slice_updates=2,
-    declared_update_ms=10,
-    declared_store_ms=4,
-)
-
-
-class Learner(Driver):
-    """The service with its worker, which runs one job when it is told to."""
-
-    def __init__(self, directory, warmup_steps=2 * LENGTH):
-        (directory / "learner").mkdir(parents=True, exist_ok=True)
-        store = EpisodeStore(directory / "learner" / "episodes", S, A)
-        self.worker = LearnerWorker(directory / "learner", store, Trainer(CONFIG, MODEL, TASK, 0))
-        super().__init__(LearnerService(CONFIG, warmup_steps, self.worker, 33))
-        self.directory = directory
-        self.queue, self.sent, self.job_names = deque(), [], []
-        self.turn()
-
-    def turn(self):
-        outputs = self.step()
-        self.queue.extend(jobs(outputs))
-        self.job_names += [job.name for job in jobs(outputs)]
-        self.sent += [output for output in outputs if isinstance(output, Publish)]
-        return outputs
-
-    def record(self, number, mode=Mode.RANDOM, boot=PLANT, length=LENGTH):
-        """Let the plant run a whole episode of random states."""
-        draw = np.random.default_rng((number, boot))
-        for k in range(length + 1):
-            message = step(k, episode=number, steps=length, last=k == length, mode=mode)
-            state = draw.uniform(-0.5, 0.5, S).astype(np.float32)
-            action = draw.uniform(-1, 1, A).astype(np.float32)
-            self.send(STEP, replace(message, state=state, prev_action=action), boot)
-        self.turn()
-
-    def work(self, duration_ns=0):
-        """Finish the oldest job; returns what the service then publishes."""
-        job = self.queue.popleft()
-        self.finish(job, *run_job(job), duration_ns=duration_ns)
-        return [o for o in self.turn() if isinstance(o, Publish)]
-
-    def work_all(self):
-        while self.queue:
-            self.work()
-
-    def all(self, topic):
-        return published(self.sent, topic)
-
-    def files(self):
-        return len(list((self.directory / "learner" / "episodes").glob("*.safetensors")))
-
-    @property
-    def fields(self):
-        return self.service.report().fields
-
-    @property
-    def state(self):
-        return self.service.report().state
+from services.learner.worker import CHECKPOINT
+from tests.samples import PLANT, step
+from tests.unit.services.learner.driver import LENGTH, Learner, restart, trained
 
 
 @pytest.fixture
 def learner(tmp_path):
     return Learner(tmp_path)
-
-
-def trained(learner):
-    """Bring a learner to the end of its first update."""
-    learner.record(0)
-    learner.record(1)
-    learner.work_all()
-    return learner
 
 
 def test_an_episode_is_acknowledged_only_when_it_is_on_disk(learner):
@@ -142,7 +61,7 @@ def test_each_planned_episode_owes_an_update_and_random_ones_none(learner):
     assert [m.after_episode for m in learner.all(METRICS)] == [1, 3]
 
 
-def test_what_comes_while_training_is_owed_together_afterwards(learner):
+def test_what_comes_while_training_is_owed_afterwards_an_update_and_a_snapshot_at_a_time(learner):
     trained(learner)
     learner.record(2, Mode.PLAN)
     learner.work()
@@ -150,9 +69,23 @@ def test_what_comes_while_training_is_owed_together_afterwards(learner):
     for number in (3, 4):
         learner.record(number, Mode.PLAN)
     learner.work_all()
-    assert learner.fields["updates"] == 3 + 5 + 2 * 5
-    assert [m.after_episode for m in learner.all(METRICS)] == [1, 2, 4]
-    assert learner.fields["snapshots"] == 3
+    assert learner.fields["updates"] == 3 + 5 + 5 + 5
+    assert [m.after_episode for m in learner.all(METRICS)] == [1, 2, 4, 4]
+    assert [m.updates for m in learner.all(METRICS)] == [3, 8, 13, 18]
+    assert (learner.fields["snapshots"], learner.fields["skipped_updates"]) == (4, 0)
+
+
+def test_a_backlog_beyond_two_updates_is_dropped_and_counted(learner):
+    trained(learner)
+    for number in range(2, 7):
+        learner.record(number, Mode.PLAN)
+    while learner.queue:
+        assert sum(job.name != "store" for job in learner.queue) <= 1  # never two updates at once
+        learner.work()
+    # one is asked for when the other four are stored, of which two are kept
+    assert learner.fields["updates"] == 3 + 3 * 5
+    assert learner.fields["skipped_updates"] == 2 * 5
+    assert [m.after_episode for m in learner.all(METRICS)] == [1, 6, 6, 6]
 
 
 def test_evaluations_are_neither_stored_nor_acknowledged(learner):
@@ -183,60 +116,6 @@ def test_two_plants_may_use_the_same_numbers(learner):
     learner.work_all()
     assert learner.files() == 2
     assert [(a.plant_boot_id, a.episode) for a in learner.all(ACK)] == [(PLANT, 0), (PLANT + 1, 0)]
-
-
-def test_an_episode_that_cannot_be_stored_is_counted_shown_and_not_acknowledged(learner):
-    def full(_episode):
-        raise OSError("no space left on device")
-
-    learner.worker.store, keep = full, learner.worker.store
-    learner.record(0)
-    assert learner.work() == []
-    assert learner.fields["refused_episodes"] == 1
-    assert learner.state == "episode not stored: OSError: no space left on device"
-    learner.worker.store = keep
-    learner.record(1)
-    learner.work()
-    assert [a.episode for a in learner.all(ACK)] == [1]
-
-
-@pytest.mark.parametrize("mode", [Mode.RANDOM, Mode.PLAN])
-def test_an_update_that_fails_is_shown_and_made_up_for_with_the_next_episode(learner, mode):
-    def broken(_begin):
-        raise RuntimeError("out of memory")
-
-    learner.worker.train, keep = broken, learner.worker.train
-    trained(learner)
-    assert learner.fields["failed_updates"] == 1
-    assert learner.state == "update failed: RuntimeError: out of memory"
-    assert learner.queue == deque()  # repeating it at once would fail for ever
-    learner.worker.train = keep
-    learner.record(2, mode)
-    learner.work_all()
-    assert learner.fields["updates"] == 3 + (5 if mode is Mode.PLAN else 0)
-    assert (learner.state, [m.after_episode for m in learner.all(METRICS)]) == ("ready", [2])
-
-
-def test_an_update_that_fails_half_way_is_begun_anew(learner):
-    trained(learner)
-    learner.record(2, Mode.PLAN)
-    learner.work()  # stored
-    learner.work()  # two of five gradient steps
-
-    def broken(_begin):
-        raise RuntimeError("out of memory")
-
-    learner.queue[0] = replace(learner.queue[0], function=broken)
-    learner.work()
-    assert learner.fields["failed_updates"] == 1
-    learner.record(3, Mode.PLAN)
-    learner.work_all()
-    assert learner.fields["updates"] == 3 + 2 + 2 * 5
-    assert [m.after_episode for m in learner.all(METRICS)] == [1, 3]
-
-
-def restart(learner):
-    return Learner(learner.directory)
 
 
 def test_a_restarted_learner_announces_at_its_first_step_what_it_knows(learner):
@@ -295,3 +174,32 @@ def test_an_unusable_checkpoint_is_said_and_training_begins_anew(learner):
     assert again.job_names == ["train"]  # the warm-up is on disk
     again.work_all()
     assert (again.state, again.fields["updates"]) == ("ready", 3)
+
+
+def test_files_that_could_not_be_used_are_reported(learner):
+    trained(learner)
+    episodes = learner.directory / "learner" / "episodes"
+    (episodes / "00000009-1-9.safetensors").write_bytes(b"torn")
+    for number in (1, 2):
+        (episodes / f".{number}.safetensors.partial").write_bytes(b"half")
+    fields = restart(learner).fields
+    assert (fields["corrupt_files"], fields["leftover_files"], fields["stored_episodes"]) == (1, 2, 2)
+
+
+def test_of_what_was_missed_before_a_restart_two_updates_are_made_up_for(learner):
+    trained(learner)
+    for number in range(2, 6):
+        learner.record(number, Mode.PLAN)
+    for _ in range(4):
+        learner.work()  # stored, and then the process dies
+    again = restart(learner)
+    again.work_all()
+    assert (again.fields["updates"], again.fields["skipped_updates"]) == (2 * 5, 2 * 5)
+
+
+def test_a_restart_that_finds_fewer_episodes_than_were_learned_from_owes_nothing(learner):
+    trained(learner)
+    next((learner.directory / "learner" / "episodes").glob("*.safetensors")).unlink()
+    again = restart(learner)
+    again.work_all()
+    assert (again.job_names, again.fields["updates"]) == (["announce"], 0)

@@ -111,3 +111,31 @@ def test_normaliser_sees_the_valid_training_rows_only():
     assert float(normaliser.state_mean[1]) == pytest.approx((0 + 1 + 3 + 0 + 1 + 2 + 3) / 7)
     assert float(normaliser.delta_mean[1]) == 1.0
     assert float(normaliser.delta_std[1]) == 1.0  # constant: counts as 1
+
+
+def turning(flip_from=None):
+    """One number and a quaternion that turns a little each step, its sign changed from a step on."""
+    half = np.arange(20) * 0.05
+    states = np.stack([np.arange(20), np.cos(half), np.sin(half), 0 * half, 0 * half], axis=1)
+    states[flip_from:, 1:] *= 1 if flip_from is None else -1
+    flags, zero = np.ones(20, bool), np.zeros((19, 1), "f4")
+    return Episode(1, 0, "random", states.astype("f4"), zero, np.zeros(1, "f4"), flags)
+
+
+def deltas_of(episode, quaternions):
+    replay = Replay(5, 1, 0.0, quaternions)
+    replay.add(episode)
+    return replay.normaliser()
+
+
+def test_a_flipped_quaternion_does_not_inflate_the_statistics_of_change():
+    plain, raw = deltas_of(turning(), ()), deltas_of(turning(10), ())
+    flipped = deltas_of(turning(10), (slice(1, 5),))
+    change = np.diff(turning().states, axis=0)
+    change[10:, 1:] *= -1  # as the targets are: the second of each pair on the side of the first
+    np.testing.assert_allclose(flipped.delta_mean, change.mean(axis=0), atol=1e-6)
+    np.testing.assert_allclose(flipped.delta_std[1:3], change.std(axis=0)[1:3], rtol=1e-4)
+    assert float(raw.delta_std[1]) > 5 * float(flipped.delta_std[1])
+    unflipped = deltas_of(turning(), (slice(1, 5),))
+    assert torch.equal(unflipped.delta_std, plain.delta_std)
+    assert turning(10).states[10, 1] < 0  # what is stored stays as it was measured
