@@ -8,8 +8,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from common.config import ConfigError, parse, read_yaml, with_overrides
-from deploy.cell import Cell, find_cell
+from common.config import ConfigError, parse
+from deploy.cell import Cell, method_problems
+from deploy.cell_files import find_cell, read_cell
 
 
 @dataclass(frozen=True)
@@ -70,8 +71,8 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "no_dropout": Method("no Dropout particles", ("model.dropout=0", "planner.masks=1")),
         "synchronous": Method("textbook MPC: the plant waits for each plan", ("control.synchronous=true",)),
         "x4": Method(
-            "x = 4: a plan takes nearly four control steps",
-            ("control.steps_per_plan=4", "planner.declared_solve_ms=150"),
+            "x = 4: a plan takes nearly four control steps, and looks beyond the four under way",
+            ("control.steps_per_plan=4", "planner.declared_solve_ms=150", "planner.horizon=8"),
         ),
         "average": Method(
             "particles averaged at each step (Eq. 1 as printed)", ("planner.propagation=average",)
@@ -88,8 +89,7 @@ def configure(cell: str, method: str, overrides: Iterable[str], run_dir: Path) -
     if method not in METHODS:
         raise ConfigError([f"{method}: no such method; choose one of {', '.join(METHODS)}"])
     path = find_cell(cell)
-    data = with_overrides(read_yaml(path), (*METHODS[method].overrides, *overrides))
-    return cell_of(data, path.name, run_dir)
+    return cell_of(read_cell(path, (*METHODS[method].overrides, *overrides)), path.name, run_dir)
 
 
 def cell_of(data: dict[str, Any], source: str, run_dir: Path) -> Cell:
@@ -98,6 +98,9 @@ def cell_of(data: dict[str, Any], source: str, run_dir: Path) -> Cell:
     control = dict(control) if isinstance(control, dict) else {}
     synchronous = bool(control.pop("synchronous", False))
     cell = parse(Cell, {**data, "control": control, "config_hash": ""}, source)
+    problems = [f"{source}: {problem}" for problem in method_problems(cell)]
+    if problems:
+        raise ConfigError(problems)
     changed = {"control": cell.control.model_copy(update={"synchronous": synchronous}), "run_dir": run_dir}
     cell = cell.model_copy(update=changed)
     return cell.model_copy(update={"config_hash": cell.hash()})

@@ -37,8 +37,8 @@ CONFIG_FILE = "config.yaml"
 SUMMARY_FILE = "summary.json"
 TIMING_FILE = "timing.jsonl"
 SESSIONS_FILE = "sessions.jsonl"
-# What may change when a run is taken up again.
-_EXTENDABLE = ("run_dir", "config_hash")
+# What may change when a run is taken up again: nothing of it decides what is learned.
+_EXTENDABLE = ("run_dir", "config_hash", "log")
 
 REFRESH_S = 0.25
 LINE_EVERY_S = 15.0  # without a terminal

@@ -12,10 +12,12 @@ from pydantic import Field, model_validator
 
 from common.can_config import CanConfig
 from common.cell import SharedConfig
-from common.config import ConfigError, Frozen, digest, load
+from common.config import ConfigError, Frozen, digest, parse
 from common.dexhand021.config import DexHandConfig
 from common.hand_messages import PoseSource
 from common.model.config import ModelConfig
+from common.task import get_task
+from deploy.cell_files import find_cell, read_cell
 from deploy.curriculum_config import CurriculumConfig
 from deploy.processes import NAMES, WATCHDOG, process_of, processes_of
 from deploy.supervisor import REPOSITORY, RunFiles, check_paths
@@ -26,7 +28,6 @@ from services.learner.config import LearnerConfig
 from services.planner.config import PlannerConfig
 from services.sim.emulator_config import EmulatorConfig
 
-CELLS_DIR = Path(__file__).parent / "cells"
 ALL_LOCAL = "local"
 ROUTER_PORT = 7447
 # What a run cannot change when it is taken up again: its stored episodes and weights would not fit.
@@ -43,6 +44,13 @@ class Machine(Frozen):
 class Cell(SharedConfig):
     """Everything that one hand, its model and its operator need to know."""
 
+    # Resolved by read_cell before a cell is checked, and no part of what is written or hashed.
+    base: str = Field(
+        default="",
+        exclude=True,
+        description="cell that this one starts from: a shipped one's name, or a file, meant from this one's "
+        "folder; in cell files only",
+    )
     model: ModelConfig = ModelConfig()
     planner: PlannerConfig = PlannerConfig()
     learner: LearnerConfig = LearnerConfig()
@@ -82,7 +90,8 @@ def _router_address(data: Mapping[str, Any]) -> dict[str, Any]:
     return {}
 
 
-def _method_problems(cell: Cell) -> Iterable[str]:
+def method_problems(cell: Cell) -> Iterable[str]:
+    """What the sections about the method, each valid by itself, contradict each other in."""
     control, planner, model = cell.control, cell.planner, cell.model
     x = control.steps_per_plan
     if control.synchronous:
@@ -95,6 +104,11 @@ def _method_problems(cell: Cell) -> Iterable[str]:
         yield f"planner.masks ({planner.masks}) exceed model.plan_masks ({model.plan_masks})"
     if len(cell.learner.loss.decay) != len(model.hidden) + 1:
         yield f"learner.loss.decay: {len(model.hidden) + 1} values wanted, one per layer of model.hidden"
+    groups = [group.name for group in get_task(cell.task).groups]
+    for name in cell.learner.loss.group_weights:
+        if name not in groups:
+            has = ", ".join(groups)
+            yield f"learner.loss.group_weights: no group {name} in task {cell.task}; it has {has}"
 
 
 def _hand_problems(cell: Cell) -> Iterable[str]:
@@ -126,26 +140,14 @@ def _machine_problems(cell: Cell) -> Iterable[str]:
         yield f"machines: the name {ALL_LOCAL} is taken; it means everything on one machine"
 
 
-def find_cell(text: str) -> Path:
-    """Return the file that `text` names: a path, or a cell that comes with the project."""
-    path = Path(text)
-    if path.is_file() or path.suffix in (".yaml", ".yml"):
-        return path
-    shipped = CELLS_DIR / f"{text}.yaml"
-    if not shipped.is_file():
-        names = " ".join(sorted(file.stem for file in CELLS_DIR.glob("*.yaml")))
-        raise ConfigError([f"{text}: no such cell; give a file, or one of: {names}"])
-    return shipped
-
-
 def load_cell(text: str, overrides: Iterable[str] = ()) -> Cell:
     """Read a cell and check its parts against each other; a relative run_dir is meant from the repository.
 
     Raises ConfigError with one line per mistake.
     """
     path = find_cell(text)
-    cell = load(Cell, path, overrides)
-    problems = [*_method_problems(cell), *_hand_problems(cell), *_machine_problems(cell)]
+    cell = parse(Cell, read_cell(path, overrides), path.name)
+    problems = [*method_problems(cell), *_hand_problems(cell), *_machine_problems(cell)]
     if problems:
         raise ConfigError([f"{path.name}: {problem}" for problem in problems])
     return cell.model_copy(

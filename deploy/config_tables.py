@@ -13,7 +13,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import to_jsonable_python
 
-from deploy.cell import CELLS_DIR, Cell
+from deploy.cell import Cell
+from deploy.cell_files import CELLS_DIR
 from deploy.markdown import Row, code, table
 from services.planner.config import PRESETS, PlannerConfig
 

@@ -20,7 +20,7 @@ from deploy.supervisor_client import ProcessInfo, SupervisorClient, SupervisorEr
 
 OPERATOR = "operator"  # our own name on the bus
 SUPERVISOR_START_S = 15.0
-WAVE_PATIENCE_S = (3.5, 2.0, 2.0, 1.0)  # per stop wave; everything together is over within ten seconds
+WAVE_PATIENCE_S = (3.5, 2.0, 2.0, 1.0)  # per stop wave, before signal 9
 BUS_ATTEMPT_S = 2.0
 LOG_LINES = 12
 
@@ -38,6 +38,7 @@ class Launch:
         self.files = RunFiles(cell.run_dir, machine)
         self.client = SupervisorClient(self.files.socket)
         self.started = False  # by us
+        self._given_up: set[str] = set()  # optional processes that were warned of
         self.has_router = "router" in self.instances
 
     def start(self) -> None:
@@ -84,7 +85,9 @@ class Launch:
                 f"left over from an earlier run in {self.cell.run_dir}: {names}; end it with `down`"
             )
 
-    def connect(self, cancelled: Callable[[], bool], patience_s: float) -> Monitor | None:
+    def connect(
+        self, say: Callable[[str], None], cancelled: Callable[[], bool], patience_s: float
+    ) -> Monitor | None:
         """Join the bus; None when cancelled. Raises LaunchError when there is no router in time."""
         deadline = time.monotonic() + patience_s
         while not cancelled():
@@ -92,7 +95,7 @@ class Launch:
                 return self.join_bus()
             except BusError as error:
                 if self.has_router:
-                    self.check(self.client.processes())
+                    self.check(self.client.processes(), say)
                 if time.monotonic() > deadline:
                     why = self._why("router", "cannot be reached") if self.has_router else str(error)
                     raise LaunchError(why) from None
@@ -109,8 +112,11 @@ class Launch:
         say: Callable[[str], None],
         cancelled: Callable[[], bool],
         names: tuple[str, ...],
-    ) -> None:
-        """Return when each of `names` works or at a cancel. Raises LaunchError naming one that does not."""
+    ) -> tuple[str, ...]:
+        """Wait until each of `names` works, or for a cancel; return the optional ones that do not.
+
+        Raises LaunchError naming a required one that does not.
+        """
         begin = time.monotonic()
         waiting = list(names)
         while waiting and not cancelled():
@@ -119,28 +125,39 @@ class Launch:
             for name in [name for name in waiting if is_healthy(name, infos[name], heard)]:
                 waiting.remove(name)
                 say(f"{name}: {heard[name].health.state if name in heard else 'up'}")
-            self.check(infos)
-            self._check_deadlines(waiting, time.monotonic() - begin)
+            self.check(infos, say)
+            self._check_deadlines(waiting, time.monotonic() - begin, say)
+            waiting = [name for name in waiting if name not in self._given_up]
             time.sleep(0.2)
+        return tuple(name for name in names if name in self._given_up)
 
-    def _check_deadlines(self, waiting: list[str], elapsed_s: float) -> None:
+    def _check_deadlines(self, waiting: list[str], elapsed_s: float, say: Callable[[str], None]) -> None:
         for name in waiting:
             if elapsed_s > process_of(name).start_deadline_s:
-                raise LaunchError(self._why(name, f"is not healthy after {elapsed_s:.0f} s"))
+                self._give_up(name, f"is not healthy after {elapsed_s:.0f} s", say)
 
-    def check(self, infos: dict[str, ProcessInfo]) -> None:
-        """Raise LaunchError for the first process that supervisord has given up."""
+    def check(self, infos: dict[str, ProcessInfo], say: Callable[[str], None]) -> None:
+        """Raise LaunchError for a required process that supervisord has given up; tell of others once."""
         for name in self.instances:
-            info = infos[name]
-            if info.state == "FATAL":
-                raise LaunchError(self._why(name, "fails again and again"))
+            if infos[name].state == "FATAL":
+                self._give_up(name, "fails again and again", say)
+
+    def _give_up(self, name: str, what: str, say: Callable[[str], None]) -> None:
+        if process_of(name).required:
+            raise LaunchError(self._why(name, what))
+        if name not in self._given_up:
+            self._given_up.add(name)
+            say(f"going on without {self._why(name, what)}")
 
     def _why(self, name: str, what: str) -> str:
         log = self.files.log_of(name)
         return f"{name} {what}; the end of {log}:\n{last_lines(log)}"
 
     def stop(self) -> None:
-        """Stop all processes in order, then supervisord; takes at most ten seconds."""
+        """Stop all processes in order, then supervisord.
+
+        Takes under ten seconds, unless processes of several waves do not listen and must be killed.
+        """
         try:
             alive = [name for name, info in self.client.processes().items() if info.state != "EXITED"]
             for wave, patience_s in enumerate(WAVE_PATIENCE_S):

@@ -143,12 +143,13 @@ class Operator:
         """Stop and start one service and wait until it is healthy."""
         name = self._known(self._arguments.service or "")
         self._launch.client.restart(name, patience_s=5.0)
-        monitor = self._launch.connect(self._stop.is_set, ROUTER_PATIENCE_S)
-        if monitor:
-            monitor.poll()
-            self._launch.wait_healthy(monitor, print, self._stop.is_set, (name,))
-            monitor.close()
-        return 0
+        monitor = self._launch.connect(print, self._stop.is_set, ROUTER_PATIENCE_S)
+        if not monitor:
+            return 0
+        monitor.poll()
+        failed = self._launch.wait_healthy(monitor, print, self._stop.is_set, (name,))
+        monitor.close()
+        return int(bool(failed))
 
     def _known(self, service: str) -> str:
         """Return the instance that the user means. Raises LaunchError."""
@@ -168,10 +169,10 @@ class Operator:
             ZenohBus(self._cell.bus, self._cell.cell, OPERATOR).close()
         self._launch.start()
         display.say(f"starting {' '.join(self._launch.instances)} in {self._cell.run_dir}")
-        monitor = self._launch.connect(self._stop.is_set, ROUTER_PATIENCE_S)
-        if monitor:
-            self._launch.wait_healthy(monitor, display.say, self._stop.is_set, self._launch.instances)
-        if "viewer" in self._launch.instances and self._cell.viewer.serve:
+        monitor = self._launch.connect(display.say, self._stop.is_set, ROUTER_PATIENCE_S)
+        names = self._launch.instances
+        failed = self._launch.wait_healthy(monitor, display.say, self._stop.is_set, names) if monitor else ()
+        if "viewer" in names and "viewer" not in failed and self._cell.viewer.serve:
             display.say(f"dashboard: http://{self._cell.viewer.bind}:{self._cell.viewer.web_port}")
         return monitor
 
@@ -183,7 +184,7 @@ class Operator:
             display.show(figures(heard, monitor.metrics))
             if is_done(heard, infos):
                 return
-            self._launch.check(infos)
+            self._launch.check(infos, display.say)
 
     def _listen(self) -> dict[str, Heard]:
         """Hear every process that works; nothing when there is no router."""

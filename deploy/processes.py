@@ -16,7 +16,9 @@ class Process:
     stop_wave: int  # all of one wave are stopped together, wave 0 first
     plants: tuple[str, ...] = ()  # runs in cells with one of these plants; empty: in all
     sections: tuple[str, ...] = ()  # of the cell, beside those that every process has
-    needs: tuple[str, ...] = ("router",)  # started before it
+    needs: tuple[str, ...] = (
+        "router",
+    )  # cannot do its work without them; begun before it, but not waited for
     heartbeat: bool = True  # publishes health; a process without it shows by what it makes possible
     start_deadline_s: float = 60.0  # from its start to its first heartbeat, on a busy laptop
     warm_up_s: int = 10  # a death before this counts as a failed start; the pauses between those grow

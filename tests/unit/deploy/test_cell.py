@@ -8,14 +8,13 @@ from common.cell import SharedConfig
 from common.config import ConfigError, parse
 from deploy import config
 from deploy.cell import (
-    CELLS_DIR,
-    find_cell,
     instances_of,
     load_cell,
     on_this_machine,
     process_config,
     write_process_configs,
 )
+from deploy.cell_files import CELLS_DIR, find_cell
 from deploy.processes import NAMES, process_of, processes_of
 
 IN_SIMULATION = tuple(process.name for process in processes_of("sim"))
@@ -84,6 +83,11 @@ def test_three_mistakes_give_three_lines(tmp_path: Path, capsys: pytest.CaptureF
         ("planner.horizon=2", "planner.horizon (2) must exceed control.steps_per_plan (2)"),
         ("planner.members=6", "planner.members (6) exceed model.members (5)"),
         ("model.hidden=[8, 8]", "learner.loss.decay: 3 values wanted"),
+        (
+            "task=egg",
+            "learner.loss.group_weights: no group tips in task egg; it has qpos, qvel, "
+            "object_linear_velocity, object_angular_velocity, object_position, object_rotation",
+        ),
     ],
 )
 def test_sections_that_contradict_each_other_are_refused(override: str, complaint: str) -> None:
