@@ -17,7 +17,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
         "paper": {},
         "fast": {
-            "horizon": 4,
+            "horizon": 3,
             "members": 3,
             "masks": 1,
             "knots": 1,

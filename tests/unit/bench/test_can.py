@@ -30,7 +30,7 @@ class Answering:
 
 
 def test_cycles_without_the_sixth_answer_are_lost_and_the_others_timed(monkeypatch):
-    monkeypatch.setattr(can, "LOST_MS", 5.0)
+    monkeypatch.setattr(can, "LOST_MS", 250.0)
     found = measure(Answering(lost=(2, 5), full=(7,)), 10, 200.0)
     assert (len(found.round_trips_ms), found.lost, found.unsent) == (7, 2, 1)
     figures = result(found, 10, 200.0)
