@@ -13,6 +13,8 @@ import zenoh
 
 from common.bus_config import LEASE_MS, BusConfig
 
+REAL_TIME_BATCHES = 16  # the most that Zenoh allows
+WAIT_BEFORE_DROP_US = 10_000  # a quarter of a control step
 QUERY_TIMEOUT_MS = 5000  # bounds how long a late joiner waits for the history of a publisher that froze
 
 # How long one batch of a blocking topic may wait for a link before that link is closed. While the router
@@ -96,6 +98,10 @@ def _common(lease_ms: int, patience_ms: int) -> dict[str, Any]:
         "scouting/delay": 0,
         "transport/link/tx/lease": lease_ms,  # each side announces its own: both must be short
         "transport/link/tx/queue/congestion_control/block/wait_before_close": patience_ms * 1000,  # us
+        # A warm-up sends hundreds of steps a second; the default of 2 batches and 1 ms loses some when another
+        # process takes the processor.
+        "transport/link/tx/queue/size/real_time": REAL_TIME_BATCHES,
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": WAIT_BEFORE_DROP_US,
         # Implicit shared memory leaves files in /dev/shm, and loses queries under load.
         "transport/shared_memory/enabled": False,
         "queries_default_timeout": QUERY_TIMEOUT_MS,
