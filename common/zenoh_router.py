@@ -98,8 +98,8 @@ def _common(lease_ms: int, patience_ms: int) -> dict[str, Any]:
         "scouting/delay": 0,
         "transport/link/tx/lease": lease_ms,  # each side announces its own: both must be short
         "transport/link/tx/queue/congestion_control/block/wait_before_close": patience_ms * 1000,  # us
-        # A warm-up sends hundreds of steps a second; the default of 2 batches and 1 ms loses some when another
-        # process takes the processor.
+        # A warm-up sends hundreds of steps a second; with the default of 2 batches and 1 ms some are lost
+        # whenever another process takes the processor.
         "transport/link/tx/queue/size/real_time": REAL_TIME_BATCHES,
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": WAIT_BEFORE_DROP_US,
         # Implicit shared memory leaves files in /dev/shm, and loses queries under load.
