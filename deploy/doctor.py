@@ -17,7 +17,7 @@ from common.zenoh_bus import ZenohBus
 from common.zenoh_router import BusError
 from deploy import doctor_can
 from deploy.cell import ALL_LOCAL, Cell, instances_of, load_cell, on_this_machine
-from deploy.checks import Check
+from deploy.checks import Check, print_checks
 from deploy.monitor import Heard, Monitor
 from deploy.processes import process_of
 
@@ -34,14 +34,7 @@ def main(argv: list[str] | None = None) -> int:
     if arguments[:1] == ["can"]:
         return doctor_can.main(arguments[1:])
     parser = argparse.ArgumentParser(prog="python -m deploy.doctor", description=__doc__)
-    parser.add_argument("cell", nargs="?", default="reach", help="a file, or a name in deploy/cells")
-    parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="a.b=c")
-    options = parser.parse_args(arguments)
-    failed = False
-    for check in checks(options.cell, options.overrides):
-        print(check, flush=True)
-        failed |= not check.ok
-    return int(failed)
+    return print_checks(parser, "reach", checks, arguments)
 
 
 def checks(cell_name: str, overrides: list[str]) -> Iterator[Check]:

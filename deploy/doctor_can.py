@@ -22,7 +22,7 @@ from common.dexhand021.frames import Refusal
 from common.dexhand021.replies import BoardFeedback, ErrorReport, NvmReply, OverTemperature, Reply
 from common.dexhand021.tables import BOARDS, MOTORS, ControlMode, NvmAddress, board_id
 from deploy.cell import Cell, load_cell
-from deploy.checks import Check
+from deploy.checks import Check, print_checks
 
 LISTEN_S, ANSWER_S, PINGS = 0.5, 0.1, 5
 ROUND_TRIP_LIMIT_MS = 10.0
@@ -32,14 +32,7 @@ LINK_ADVICE = "ip link set {0} up type can bitrate {1} dbitrate {2} fd on restar
 def main(argv: list[str] | None = None) -> int:
     """Print one line per check; 1 if any failed."""
     parser = argparse.ArgumentParser(prog="python -m deploy.doctor can", description=__doc__)
-    parser.add_argument("cell", nargs="?", default="dexhand_twin", help="a file, or a name in deploy/cells")
-    parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="a.b=c")
-    options = parser.parse_args(argv)
-    failed = False
-    for check in checks(options.cell, options.overrides):
-        print(check, flush=True)
-        failed |= not check.ok
-    return int(failed)
+    return print_checks(parser, "dexhand_twin", checks, argv)
 
 
 def checks(cell_name: str, overrides: list[str]) -> Iterator[Check]:

@@ -135,8 +135,10 @@ def test_logs_are_listed_in_the_order_in_which_they_were_begun(tmp_path):
     assert [entry.t_ns for entry in read_all(tmp_path)] == [*range(10, 30), *range(50, 70), *range(90, 110)]
 
 
-def test_no_log_takes_everything_and_keeps_nothing():
+def test_no_log_takes_everything_and_keeps_nothing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     log = NoLog()
     log.write(ENTRIES[0])
     log.flush()
     log.close()
+    assert (log.failed, list(tmp_path.iterdir())) == ("", [])
