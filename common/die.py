@@ -6,6 +6,7 @@ centre and its axes through the faces.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,6 +31,8 @@ PIPS: tuple[tuple[tuple[int, int], ...], ...] = (
     ((0, 0), *_CORNERS),
     (*_CORNERS, (-1, 0), (1, 0)),
 )
+# How often each face's pips are turned by a quarter, counter-clockwise seen from outside.
+NO_QUARTERS = (0, 0, 0, 0, 0, 0)
 _GRID = 8  # rounded edges are drawn with so many steps a side
 _SMOOTH = 4  # pictures are drawn at so many times their size, then averaged
 
@@ -52,6 +55,7 @@ class Die:
 
     The paper gives the size alone (Sec. II-B). `mass_kg` is that of the 50 mm cube in the maker's own
     simulated task. `right_handed`: 1, 2, 3 run counter-clockwise about their corner, as on Western dice.
+    `quarters`: how often the pips of faces 1 to 6 are turned by 90 degrees; makers differ in 2, 3 and 6.
     """
 
     size_m: float = 0.060
@@ -62,6 +66,12 @@ class Die:
     body_rgb: Rgb = (236, 236, 230)
     pip_rgb: Rgb = (25, 25, 28)
     right_handed: bool = True
+    quarters: tuple[int, int, int, int, int, int] = NO_QUARTERS
+
+    @property
+    def light_pips(self) -> bool:
+        """Polarity: whether pips are lighter than the body."""
+        return _luminance(self.pip_rgb) > _luminance(self.body_rgb)
 
     @property
     def half_m(self) -> float:
@@ -87,11 +97,17 @@ class Die:
         """Diagonal inertia (3,), kg·m², of a solid cube."""
         return np.full(3, self.mass_kg * self.size_m**2 / 6)
 
+    def pip_offsets(self, face: int) -> Float64:
+        """Centres (face, 2) of a face's pips, m to the right and upwards of its middle."""
+        grid = np.array(PIPS[face - 1], np.float64)
+        for _ in range(self.quarters[face - 1] % 4):
+            grid = np.stack([-grid[:, 1], grid[:, 0]], axis=1)
+        return self.pip_spacing_m * grid
+
     def pips_of(self, face: int) -> Float64:
         """Centres (face, 3) of a face's pips on its surface."""
-        offsets = np.zeros((len(PIPS[face - 1]), 3))
-        offsets[:, :2] = self.pip_spacing_m * np.array(PIPS[face - 1], np.float64)
-        offsets[:, 2] = self.half_m
+        offsets = np.full((face, 3), self.half_m)
+        offsets[:, :2] = self.pip_offsets(face)
         return offsets @ self.frames[face - 1]
 
     def face_image(self, face: int, pixels: int = 128) -> NDArray[np.uint8]:
@@ -99,7 +115,7 @@ class Die:
         fine = pixels * _SMOOTH
         at = ((np.arange(fine) + 0.5) / fine - 0.5) * self.size_m
         right, up = np.meshgrid(at, -at)
-        pips = self.pip_spacing_m * np.array(PIPS[face - 1], np.float64)
+        pips = self.pip_offsets(face)
         squared = (right[..., None] - pips[:, 0]) ** 2 + (up[..., None] - pips[:, 1]) ** 2
         inside = (squared <= self.pip_radius_m**2).any(axis=-1)
         share = inside.reshape(pixels, _SMOOTH, pixels, _SMOOTH).mean(axis=(1, 3))[..., None]
@@ -152,6 +168,26 @@ class Die:
 
 
 DIE = Die()
+
+
+def _cube_rotations() -> Float64:
+    """Signed permutation matrices of determinant 1, the identity first."""
+    signed = [
+        np.diag(signs)[list(order)]
+        for order in itertools.permutations(range(3))
+        for signs in itertools.product((1.0, -1.0), repeat=3)
+    ]
+    return np.stack([matrix for matrix in signed if np.linalg.det(matrix) > 0])
+
+
+# The rotations (24, 3, 3) that map the bare cube onto itself, the identity first. A pose R that is right but
+# for its face labels is one of R · CUBE_ROTATIONS[l].
+CUBE_ROTATIONS = _cube_rotations()
+
+
+def _luminance(rgb: Rgb) -> float:
+    """Rec. 601, as in OpenCV's conversion to grey."""
+    return float(np.dot((0.299, 0.587, 0.114), rgb))
 
 
 def _shortest(source: Float64, target: Float64, q: Float64) -> Float64:

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from common import geometry
-from common.die import DIE, FACES
+from common.die import CUBE_ROTATIONS, DIE, FACES
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 OUT = (1.0, 0.0, 0.0)
@@ -89,3 +89,27 @@ def test_inertia_is_that_of_a_cube():
     box = trimesh.creation.box([DIE.size_m] * 3)
     box.density = DIE.mass_kg / box.volume
     assert np.allclose(np.diag(box.moment_inertia), DIE.inertia)
+
+
+def test_cube_rotations_are_the_group_of_the_cube():
+    matrices = CUBE_ROTATIONS
+    assert matrices.shape == (24, 3, 3)
+    assert np.array_equal(matrices[0], np.eye(3))
+    assert np.array_equal(np.linalg.det(matrices), np.ones(24))
+    assert len({m.tobytes() for m in matrices + 0.0}) == 24
+    products = {m.tobytes() for m in np.einsum("aij,bjk->abik", matrices, matrices).reshape(-1, 3, 3) + 0.0}
+    assert products == {m.tobytes() for m in matrices + 0.0}
+
+
+@faces
+def test_quarters_turn_the_pips_counter_clockwise(face):
+    turned = replace(DIE, quarters=(1,) * FACES)
+    assert np.array_equal(turned.face_image(face, 64), np.rot90(DIE.face_image(face, 64)))
+    assert {1: True, 4: True, 5: True}.get(face, False) == np.array_equal(
+        turned.face_image(face, 64), DIE.face_image(face, 64)
+    )
+
+
+def test_polarity_follows_the_colours():
+    assert not DIE.light_pips
+    assert replace(DIE, body_rgb=(170, 30, 30), pip_rgb=(200, 200, 200)).light_pips
