@@ -13,8 +13,10 @@ from services.learner.replay import Replay
 class EpisodeStore:
     """Episodes of one task in a directory that one learner writes; `replay` holds them in memory.
 
-    `corrupt` names the files that could not be used at opening (they stay where they are), `leftovers`
-    counts half-written files that a dead writer left (they are removed).
+    An episode is known by its id alone: the curriculum gives each out once, so a plant that runs one again
+    after a restart, under another boot id, adds nothing. `corrupt` names the files that could not be used at
+    opening (they stay where they are), `leftovers` counts half-written files that a dead writer left (they
+    are removed).
     """
 
     def __init__(
@@ -28,7 +30,7 @@ class EpisodeStore:
         self.replay = Replay(state_dim, action_dim, holdout, quaternions)
         self.corrupt: list[str] = []
         self._directory = directory
-        self._keys: dict[tuple[int, int], None] = {}  # in order of arrival
+        self._boots: dict[int, int] = {}  # boot id of the plant by episode, in order of arrival
         self._next = 0
         directory.mkdir(parents=True, exist_ok=True)
         self.leftovers = sweep_partial(directory)
@@ -36,26 +38,26 @@ class EpisodeStore:
             self._load(path)
 
     def __len__(self) -> int:
-        return len(self._keys)
+        return len(self._boots)
 
-    def __contains__(self, key: tuple[int, int]) -> bool:
-        return key in self._keys
+    def __contains__(self, episode: int) -> bool:
+        return episode in self._boots
 
     def newest(self, count: int) -> list[tuple[int, int]]:
         """The (boot id, episode) of the `count` episodes that arrived last, oldest first."""
-        return list(self._keys)[-count:]
+        return [(boot_id, episode) for episode, boot_id in list(self._boots.items())[-count:]]
 
     @property
     def newest_episode(self) -> int:
         """The highest episode id in the store; -1 when it is empty."""
-        return max((episode for _, episode in self._keys), default=-1)
+        return max(self._boots, default=-1)
 
     def append(self, episode: Episode) -> bool:
-        """Store an episode; when this returns it is on disk. False: this (boot, episode) is there already.
+        """Store an episode; when this returns it is on disk. False: one of this id is there already.
 
         Raises EpisodeRefused on an evaluation episode or on malformed data, and stores nothing then.
         """
-        if episode.key in self._keys:
+        if episode.episode in self._boots:
             return False
         check(episode, self.replay.state_dim, self.replay.action_dim)
         # The number leads so that a sorted listing is the order of arrival, which "recent" rests on.
@@ -73,9 +75,9 @@ class EpisodeStore:
         except (EpisodeRefused, OSError, ValueError):
             self.corrupt.append(path.name)
             return
-        if episode.key not in self._keys:
+        if episode.episode not in self._boots:
             self._remember(episode)
 
     def _remember(self, episode: Episode) -> None:
-        self._keys[episode.key] = None
+        self._boots[episode.episode] = episode.boot_id
         self.replay.add(episode)

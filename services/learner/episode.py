@@ -26,17 +26,13 @@ class EpisodeRefused(Exception):  # noqa: N818 - reads as what happened
 class Episode:
     """A recorded episode; states[t] → actions[t] → states[t + 1]."""
 
-    boot_id: int  # the plant's; with `episode` the identity of an episode
-    episode: int
+    boot_id: int  # the plant's, for whom an acknowledgement is meant
+    episode: int  # given out once in a run: the identity of an episode
     mode: str  # random, plan or glove
     states: Float32  # (T + 1, S)
     actions: Float32  # (T, A), normalised, as executed
     goal: Float32  # (G,)
     valid: NDArray[np.bool_]  # (T + 1,), whether every part of a state was measured
-
-    @property
-    def key(self) -> tuple[int, int]:
-        return self.boot_id, self.episode
 
 
 class _Label(Frozen):

@@ -24,6 +24,7 @@ COUNTERS = (
     "updates",
     "snapshots",
     "refused_episodes",
+    "repeated_episodes",
     "failed_stores",
     "failed_updates",
     "skipped_updates",
@@ -147,6 +148,7 @@ class LearnerService:
     def _acknowledge(self, stored: Stored, out: list[Output]) -> None:
         self._episodes, self._steps = stored.episodes, stored.steps
         out.append(Publish(ACK, Ack(stored.boot_id, stored.episode, stored.episodes, stored.steps)))
+        self._counts["repeated_episodes"] += not stored.new
         if stored.new and self._trained_once and stored.mode != Mode.RANDOM:
             self._owe(1)
 

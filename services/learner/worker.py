@@ -27,7 +27,7 @@ class Stored:
     mode: str
     episodes: int
     steps: int
-    new: bool  # False: it was there already
+    new: bool  # False: it was there already, perhaps from before the plant restarted
 
 
 @dataclass(frozen=True)

@@ -105,11 +105,6 @@ class Mpc:
         self._rollout: Rollout | None = None
         self._memory: _Memory | None = None
 
-    @property
-    def ready(self) -> bool:
-        """Whether a model has been set."""
-        return self._rollout is not None
-
     def set_model(self, model: ParticleModel) -> None:
         """Plan through `model` from the next plan on; the last plan stays as the warm start."""
         self._rollout = Rollout(model, self._config.propagation)

@@ -110,12 +110,30 @@ def test_an_episode_with_a_missing_step_is_not_stored(learner):
     assert learner.job_names == ["store"]
 
 
-def test_two_plants_may_use_the_same_numbers(learner):
-    learner.record(0, boot=PLANT)
+def test_what_a_restarted_plant_runs_again_is_acknowledged_to_it_but_counted_and_learned_once(learner):
+    trained(learner)
+    learner.record(2, Mode.PLAN)
+    learner.work_all()
+    learned = learner.fields["updates"]
+    learner.record(2, Mode.PLAN, boot=PLANT + 1)
+    learner.work_all()
+    assert [(a.plant_boot_id, a.episode, a.stored_episodes) for a in learner.all(ACK)[-2:]] == [
+        (PLANT, 2, 3),
+        (PLANT + 1, 2, 3),
+    ]
+    fields = learner.fields
+    assert (learner.files(), fields["stored_episodes"], fields["updates"]) == (3, 3, learned)
+    assert fields["repeated_episodes"] == 1
+
+
+def test_a_first_try_that_broke_off_does_not_keep_the_second_out(learner):
+    for k in range(3):
+        learner.send(STEP, step(k, episode=0, steps=LENGTH, mode=Mode.RANDOM), PLANT)
+    learner.turn()
     learner.record(0, boot=PLANT + 1)
     learner.work_all()
-    assert learner.files() == 2
-    assert [(a.plant_boot_id, a.episode) for a in learner.all(ACK)] == [(PLANT, 0), (PLANT + 1, 0)]
+    assert [(a.plant_boot_id, a.episode) for a in learner.all(ACK)] == [(PLANT + 1, 0)]
+    assert (learner.files(), learner.fields["repeated_episodes"]) == (1, 0)
 
 
 def test_a_restarted_learner_announces_at_its_first_step_what_it_knows(learner):

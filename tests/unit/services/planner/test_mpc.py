@@ -192,7 +192,6 @@ def test_the_horizon_may_end_with_the_episode():
 
 def test_a_plan_without_a_model_is_refused():
     mpc = Mpc(config(), TASK)  # type: ignore[arg-type]
-    assert not mpc.ready
     with pytest.raises(RuntimeError, match="set_model"):
         mpc.plan(REST, GOAL, NONE, 50, seeded())
 
