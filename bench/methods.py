@@ -21,8 +21,16 @@ class Method:
     overrides: tuple[str, ...] = ()
 
 
-# PETS and DPETS keep the cell's networks, warm-up and search budget, so that what differs is the method. Both
-# plan synchronously, as published: in lock-step the plant stands still meanwhile, which favours them.
+# PETS and DPETS keep the cell's networks, warm-up, horizon and knots, so that what differs is the method:
+# their planner is CEM, here of 200 x 5 candidates. Both plan synchronously, as published: in lock-step the
+# plant stands still meanwhile, which favours them.
+_CEM = (
+    "planner.search=cem",
+    "planner.candidates=200",
+    "planner.elites=20",
+    "planner.iterations=5",
+    "planner.refine_steps=0",
+)
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "gc_pmpc": Method("the cell as it is"),
@@ -38,27 +46,27 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             ),
         ),
         "dpets": Method(
-            "no normalisation, no variance penalty, no smoothing, synchronous",
+            "no normalisation, no variance penalty, no smoothing, CEM, synchronous",
             (
                 "model.normalise=false",
                 "model.targets=raw",
                 "learner.loss.variance_penalty=0",
                 "planner.smooth_weight=0",
                 "control.synchronous=true",
+                *_CEM,
             ),
         ),
         "pets": Method(
-            "one-step likelihood, no Dropout, sampled particles, no gradients through the model, synchronous",
+            "one-step likelihood, no Dropout, sampled particles, CEM, synchronous",
             (
                 "model.dropout=0",
                 "learner.loss.second_step=false",
                 "learner.loss.variance_penalty=0",
                 "planner.masks=1",
                 "planner.propagation=sampled",
-                "planner.refine_sequences=0",
-                "planner.refine_steps=0",
                 "planner.smooth_weight=0",
                 "control.synchronous=true",
+                *_CEM,
             ),
         ),
         "no_normalisation": Method(

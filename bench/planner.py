@@ -31,7 +31,7 @@ ResultT = TypeVar("ResultT")
 
 # `reach` is the planner section of cell `reach`.
 PRESETS: Mapping[str, Mapping[str, Any]] = {
-    "reach": {"preset": "fast"},
+    "reach": {"preset": "fast", "search": "none"},
     "paper": {"preset": "paper"},
 }
 _EPISODE_STEPS = 50
@@ -92,13 +92,13 @@ class Setting:
     task: Task
     dynamics: Dynamics
     pool: MaskPool
-    state: Tensor
-    goal: Tensor
+    states: Tensor  # and goals of each step, unrelated: a warm start would leave nothing to improve
+    goals: Tensor
     committed: Tensor
 
     @staticmethod
     def create(config: PlannerConfig, task: Task, seed: int = 0) -> Setting:
-        """Model of the paper's size (B 5, 3 x 512), state, goal and committed actions drawn from `seed`."""
+        """Model of the paper's size (B 5, 3 x 512), states, goals and committed actions drawn from `seed`."""
         generator = torch.Generator().manual_seed(seed)
         model = ModelConfig()
         normaliser = Normaliser.identity(task.state_dim, task.action_dim)
@@ -108,8 +108,8 @@ class Setting:
             task,
             Dynamics.create(model, normaliser, quaternions, generator),
             MaskPool.draw(model.members, model.plan_masks, model.hidden, model.dropout, generator),
-            0.1 * torch.rand(task.state_dim, generator=generator).to(config.device),
-            torch.rand(task.goal_dim, generator=generator).to(config.device),
+            0.1 * torch.rand(_EPISODE_STEPS, task.state_dim, generator=generator).to(config.device),
+            torch.rand(_EPISODE_STEPS, task.goal_dim, generator=generator).to(config.device),
             torch.zeros(_AHEAD, task.action_dim, device=config.device),
         )
 
@@ -121,11 +121,12 @@ class Setting:
         return model
 
     def planner(self, account: Account) -> Callable[[int], Plan]:
-        """Plans at step k of an episode, warm-started from the one before."""
+        """Plans at step k of an episode, each for a goal of its own."""
         mpc = Mpc(self.config, self.task)
         mpc.set_model(self.particles(account))
         generator = torch.Generator(self.config.device).manual_seed(1)
-        return lambda k: mpc.plan(self.state, self.goal, self.committed, _EPISODE_STEPS - k, generator)
+        left = _EPISODE_STEPS
+        return lambda k: mpc.plan(self.states[k], self.goals[k], self.committed, left - k, generator)
 
 
 def measure(setting: Setting, plans: int) -> dict[str, object]:
@@ -173,7 +174,7 @@ def _speedup(setting: Setting, repeats: int = 3) -> float:
     steps = min(config.horizon, _COMPARED_STEPS)
     members = [_plain_member(setting) for _ in range(model.particles)]
     actions = torch.zeros(config.candidates, steps, setting.task.action_dim, device=config.device)
-    start = setting.state.expand(model.particles, 1, -1)
+    start = setting.states[0].expand(model.particles, 1, -1)
 
     def ours() -> None:
         state = start
@@ -182,7 +183,7 @@ def _speedup(setting: Setting, repeats: int = 3) -> float:
 
     def plain() -> None:
         for member in members:
-            state = setting.state.expand(config.candidates, -1)
+            state = setting.states[0].expand(config.candidates, -1)
             for action in actions.unbind(1):
                 state = state + member(torch.cat((state, action), -1))[:, : state.shape[1]]
 

@@ -79,6 +79,14 @@ def angle(p: Array, q: Array) -> Array:
     return 4 * xp.atan2(norm(p - nearer, axis=-1), norm(p + nearer, axis=-1))
 
 
+def turn(p: Array, q: Array) -> Array:
+    """Rotation vector (..., 3), rad, of the shortest turn from `p` to `q` (..., 4); its length is `angle`.
+
+    In the frame of `p`; smooth at equal rotations, unlike the angle.
+    """
+    return to_rotation_vector(multiply(conjugate(p), q))
+
+
 def signed_angle(p: Array, q: Array) -> Array:
     """Angle (...), rad in [0, 2π], as the Shadow Hand environments compute it: 2·arccos(w) of p·q⁻¹.
 

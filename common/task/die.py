@@ -65,6 +65,12 @@ class DieTask(ManipulateTask):
         """Eq. (2) of the state's pose, less the penalty where the die is dropped: (...)."""
         return self.pose_reward(self.achieved(state), goal)
 
+    def residuals(self, state: Array, goal: Array) -> tuple[Array, ...]:
+        """The weighted offset (..., 3) and the turn that is left (..., 3), rad: Eq. (2) without the drop."""
+        pose = self.achieved(state)
+        turn = geometry.turn(pose[..., 3:], goal[..., 3:])
+        return self.position_weight * (pose[..., :3] - goal[..., :3]), turn
+
     def env_reward(self, state: Array, goal: Array) -> Array:
         """The same (...): the real hand's environment has no other."""
         return self.reward(state, goal)

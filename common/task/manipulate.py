@@ -45,6 +45,14 @@ class ManipulateTask(Task):
             return -rotation
         return -(self.position_weight * self._position_error(state, goal) + rotation)
 
+    def residuals(self, state: Array, goal: Array) -> tuple[Array, ...]:
+        """The turn that is left (..., 3), rad, and where position counts the weighted offset (..., 3)."""
+        turn = geometry.turn(self._rotation(state), goal[..., 3:])
+        if not self.position_counts:
+            return (turn,)
+        position = state[..., self.group("object_position").slice]
+        return self.position_weight * (position - goal[..., :3]), turn
+
     def env_reward(self, state: Array, goal: Array) -> Array:
         """The environment's -(10·d_pos + d_rot) (...), with d_rot signed in [0, 2π]."""
         rotation = geometry.signed_angle(self._rotation(state), goal[..., 3:])

@@ -28,6 +28,10 @@ class ReachTask(Task):
         """-‖tips - goal‖₂ over the 15 dimensions (...), m."""
         return -namespace(state).linalg.vector_norm(self.achieved(state) - goal, axis=-1)
 
+    def residuals(self, state: Array, goal: Array) -> tuple[Array, ...]:
+        """The fingertips' offsets from the goal (..., 15), m."""
+        return (self.achieved(state) - goal,)
+
     def env_reward(self, state: Array, goal: Array) -> Array:
         """The environment's dense reward (...), which for this task is also the planner's."""
         return self.reward(state, goal)

@@ -61,6 +61,10 @@ class Task(ABC):
         """What the planner maximises (...): at most 0, differentiable, blind to a quaternion's sign."""
 
     @abstractmethod
+    def residuals(self, state: Array, goal: Array) -> tuple[Array, ...]:
+        """Vectors (..., R) whose norms add up to minus the reward, penalties for events aside."""
+
+    @abstractmethod
     def env_reward(self, state: Array, goal: Array) -> Array:
         """The dense reward (...) exactly as the environment's compute_reward gives it."""
 

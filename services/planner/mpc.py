@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -11,6 +12,7 @@ from torch import Tensor
 from common.task import Task
 from services.planner.cem import HIGH, LOW, Found, cem, usable
 from services.planner.config import PlannerConfig
+from services.planner.gauss_newton import gauss_newton
 from services.planner.gradient import refine
 from services.planner.icem import icem
 from services.planner.knots import Knots, shift
@@ -69,10 +71,7 @@ class _Problem:
 
     def score(self, knots: Tensor) -> Tensor:
         """Scores (N,)."""
-        states = self.rollout.candidates(self.start, self.knots.expand(knots), self.noise)
-        scores = self.objective(self.start, states, self.goal)
-        self._remember(scores.detach(), knots.detach(), states.detach())
-        return scores
+        return self._scores(knots, self._states(knots))
 
     def score_and_gradient(self, knots: Tensor) -> tuple[Tensor, Tensor]:
         """Scores (N,) and their gradients (N, K, A)."""
@@ -82,12 +81,25 @@ class _Problem:
             (gradient,) = torch.autograd.grad(scores, leaf, torch.ones_like(scores))
         return scores.detach(), gradient
 
+    def score_and_residuals(self, knots: Tensor) -> tuple[Tensor, Sequence[Tensor]]:
+        """Scores (N,), and the residuals (..., N, R) whose norms the score adds up."""
+        states = self._states(knots)
+        return self._scores(knots, states), self.objective.residuals(self.start, states, self.goal)
+
     def predict(self, knots: Tensor) -> tuple[float, Tensor]:
         """Score and states (H, P, 1, S) of one candidate (K, A), usually remembered from the search."""
         if self.best is not None and torch.equal(self.best.knots, knots):
             return self.best.score, self.best.states
-        states = self.rollout.candidates(self.start, self.knots.expand(knots[None]), self.noise)
+        states = self._states(knots[None])
         return float(self.objective(self.start, states, self.goal)[0]), states
+
+    def _states(self, knots: Tensor) -> Tensor:
+        return self.rollout.candidates(self.start, self.knots.expand(knots), self.noise)
+
+    def _scores(self, knots: Tensor, states: Tensor) -> Tensor:
+        scores = self.objective(self.start, states, self.goal)
+        self._remember(scores.detach(), knots.detach(), states.detach())
+        return scores
 
     def _remember(self, scores: Tensor, knots: Tensor, states: Tensor) -> None:
         score, index = usable(scores).max(0)
@@ -158,15 +170,18 @@ class Mpc:
         found = self._search(problem, warm)
         if not self._config.refines:
             return found
-        start = _best_first(found)[: self._config.refine_sequences]
-        refined = refine(
-            problem.score,
-            problem.score_and_gradient,
-            start,
-            self._config.refine_steps,
-            self._config.refine_rate,
-        )
+        refined = self._refine(problem, _best_first(found)[: self._config.refine_sequences])
         return refined if refined.valid else found
+
+    def _refine(self, problem: _Problem, start: Tensor) -> Found:
+        config = self._config
+        if config.refine == "adam":
+            rate = config.refine_rate
+            return refine(problem.score, problem.score_and_gradient, start, config.refine_steps, rate)
+        difference = config.refine_difference
+        return gauss_newton(
+            problem.score, problem.score_and_residuals, start[0], config.refine_steps, difference
+        )
 
     def _search(self, problem: _Problem, warm: Tensor) -> Found:
         config = self._config

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -28,6 +28,7 @@ class Objective:
     # Paper: Eq. (1) sums R(s_t .. s_{t+H-1}), whose first term no action changes; here ŝ_{t+1} .. ŝ_{t+H}.
 
     reward: Callable[[Tensor, Tensor], Tensor]
+    distances: Callable[[Tensor, Tensor], Sequence[Tensor]]
     plausible: Callable[[Tensor], Tensor]
     smooth_slices: tuple[slice, ...] = ()
     smooth_weight: float = 0.0
@@ -41,6 +42,7 @@ class Objective:
         sign = 1.0 if config.smooth_sign == "subtract" else -1.0
         return Objective(
             task.reward,
+            task.residuals,
             task.plausible,
             slices,
             sign * config.smooth_weight,
@@ -62,13 +64,22 @@ class Objective:
         sound = self.plausible(states.detach()).all(dim=0).all(dim=0)
         return torch.where(sound, score, -math.inf)
 
+    def residuals(self, start: Tensor, states: Tensor, goal: Tensor) -> tuple[Tensor, ...]:
+        """Vectors (..., N, R) whose norms add up to minus P times the mean return, events and terms aside."""
+        parts = tuple(self.distances(states, goal))
+        if self.smooth_weight <= 0.0:
+            return parts
+        jumps = (self.smooth_weight * jump for jump in self._jumps(start, states))
+        return (*parts, *(jump.movedim(-1, 0)[..., None] for jump in jumps))
+
     def _smoothing(self, start: Tensor, states: Tensor) -> Tensor | float:
         """λ Σ_h ‖ŝ_{h+1} - ŝ_h‖₁ over the smoothed dimensions: (P, N)."""
         if self.smooth_weight == 0.0 or not self.smooth_slices:
             return 0.0
-        jumps = 0.0
-        for part in self.smooth_slices:
-            moving = states[..., part]
-            jumps = jumps + (moving[0] - start[..., part]).abs().sum(-1)
-            jumps = jumps + moving.diff(dim=0).abs().sum((0, -1))
-        return self.smooth_weight * jumps
+        return self.smooth_weight * sum(jump.abs().sum((0, -1)) for jump in self._jumps(start, states))
+
+    def _jumps(self, start: Tensor, states: Tensor) -> list[Tensor]:
+        """State changes (H, P, N, D) in each smoothed part of the state."""
+        first = start.expand_as(states[0])[None]
+        before = torch.cat((first, states[:-1]))
+        return [states[..., part] - before[..., part] for part in self.smooth_slices]

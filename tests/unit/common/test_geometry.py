@@ -122,3 +122,13 @@ def test_gradient_descends_towards_the_goal():
         (gradient,) = torch.autograd.grad(geometry.angle(geometry.normalise(q), goal), q)
         q = (q - 0.01 * gradient).detach().requires_grad_()
     assert geometry.angle(geometry.normalise(q), goal).item() < 0.05
+
+
+@given(quaternions, quaternions)
+def test_a_turn_leads_from_one_rotation_to_the_other(p, q):
+    turn = geometry.turn(p, q)
+    length = float(np.linalg.norm(turn))
+    assert length == pytest.approx(float(geometry.angle(p, q)), abs=1e-6)
+    if length > 1e-6:
+        there = geometry.multiply(p, geometry.from_axis_angle(turn, np.float64(length)))
+        assert float(geometry.angle(there, q)) == pytest.approx(0.0, abs=1e-6)

@@ -66,6 +66,17 @@ def test_any_batch_shape_and_one_goal_for_all(name):
     assert {tuple(v.shape) for v in task.successes(batch, torch.from_numpy(goal[0])).values()} == {(2, 3, 4)}
 
 
+@pytest.mark.parametrize("name", TASKS)
+def test_the_residuals_norms_add_up_to_the_reward(name):
+    task = get_task(name)
+    state, goal = random_states(task, 64)
+    norms = sum(np.linalg.norm(part, axis=-1) for part in task.residuals(state, goal))
+    events = task.drop_penalty * task.dropped(state) if name == "die" else 0.0
+    assert np.allclose(-norms - events, task.reward(state, goal), atol=1e-6)
+    one_goal = task.residuals(torch.from_numpy(state).reshape(2, 32, -1), torch.from_numpy(goal[0]))
+    assert {tuple(part.shape[:-1]) for part in one_goal} == {(2, 32)}
+
+
 @pytest.mark.parametrize("name", OBJECT_TASKS)
 def test_only_the_environments_reward_sees_the_sign_of_a_quaternion(name):
     task = get_task(name)

@@ -53,12 +53,16 @@ class LineTask:
     def reward(self, state: Tensor, goal: Tensor) -> Tensor:
         return -((state[..., 0] - goal[0]) ** 2) - 0.05 * state[..., 1] ** 2
 
+    def residuals(self, state: Tensor, goal: Tensor) -> tuple[Tensor, ...]:
+        offset = torch.stack((state[..., 0] - goal[0], 0.05**0.5 * state[..., 1]), dim=-1)
+        return (offset,)  # the reward is minus its squared norm, which has the same optimum
+
     def plausible(self, state: Tensor) -> Tensor:
         return (state.abs() < 50.0).all(-1)
 
 
 def objective(task: LineTask, **weights: float) -> Objective:
-    return Objective(task.reward, task.plausible, (slice(0, 1),), **weights)  # type: ignore[arg-type]
+    return Objective(task.reward, task.residuals, task.plausible, (slice(0, 1),), **weights)  # type: ignore[arg-type]
 
 
 def seeded(seed: int = 0) -> torch.Generator:

@@ -51,10 +51,11 @@ NEAR = torch.tensor([0.35, 0.05])  # from here the optimum is inside the bounds
     "settings",
     [
         config(candidates=400, elites=40, iterations=30, momentum=0.5, noise_beta=0.0, refine_steps=0),
-        config(refine_sequences=4, refine_steps=300, refine_rate=0.03),
-        config(search="none", refine_sequences=4, refine_steps=300, refine_rate=0.03),
+        config(refine="adam", refine_sequences=4, refine_steps=300, refine_rate=0.03),
+        config(search="none", refine="adam", refine_sequences=4, refine_steps=300, refine_rate=0.03),
+        config(search="none", refine_steps=30),
     ],
-    ids=["icem", "hybrid", "gradient"],
+    ids=["icem", "hybrid", "gradient", "gauss-newton"],
 )
 def test_without_committed_actions_it_is_textbook_mpc(settings):
     wanted = textbook(NEAR, point_mass())
@@ -122,7 +123,7 @@ def test_same_seed_same_plans(preset):
 
 
 def travel(smooth_weight: float) -> float:
-    settings = config(candidates=300, elites=20, iterations=10)
+    settings = config(candidates=300, elites=20, iterations=10, refine_steps=0)
     plan = planner(settings, smooth_weight=smooth_weight).plan(REST, GOAL, NONE, 50, seeded())
     path = torch.cat((REST[None], plan.predicted_mean))[:, 0]
     return float(path.diff().abs().sum())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import torch
 
@@ -47,7 +48,7 @@ def test_disagreement_lowers_the_score():
 
 
 def test_further_terms_are_added():
-    term = Objective(TASK.reward, TASK.plausible, terms=(lambda states: 0.0 * states[0, ..., 0] + 2.0,))
+    term = replace(objective(TASK), smooth_slices=(), terms=(lambda states: 0.0 * states[0, ..., 0] + 2.0,))
     torch.testing.assert_close(term(START, STATES, GOAL), by_hand() + 2.0)
 
 
@@ -69,3 +70,14 @@ def test_the_configuration_chooses_sign_and_groups():
     printed = Objective.create(egg, PlannerConfig(smooth_sign="printed", smooth_groups=("qvel",)))
     assert printed.smooth_weight == -0.01
     assert printed.smooth_slices == (slice(24, 48),)
+
+
+def test_the_residuals_norms_add_up_to_the_score():
+    task = get_task("reach")
+    generator = torch.Generator().manual_seed(2)
+    start, states = (0.1 * torch.rand(*shape, 63, generator=generator) for shape in [(P, 1), (H, P, N)])
+    goal = torch.rand(15, generator=generator)
+    scored = Objective.create(task, PlannerConfig(smooth_weight=0.3))
+    parts = scored.residuals(start, states, goal)
+    norms = sum(part.norm(dim=-1).flatten(0, -2).sum(0) for part in parts)
+    torch.testing.assert_close(-norms / P, scored(start, states, goal))
