@@ -58,7 +58,7 @@ class SharedConfig(Frozen):
     """What each process of a cell knows: its name, task, bus, timing, and where to write."""
 
     cell: str = Field(default="reach", pattern=r"^[a-z][a-z0-9_]*$", description="key prefix on the bus")
-    task: Literal["reach", "egg", "egg_rotate", "block", "die"] = Field(
+    task: Literal["reach", "egg", "egg_rotate", "block", "die", "die_left"] = Field(
         default="reach", description="what the hand learns; it fixes state, action and goal"
     )
     seed: int = Field(

@@ -16,7 +16,7 @@ from common.config import ConfigError, Frozen, digest, parse
 from common.dexhand021.config import DexHandConfig
 from common.hand_messages import PoseSource
 from common.model.config import ModelConfig
-from common.task import get_task
+from common.task import DieTask, get_die_task, get_task
 from deploy.cell_files import find_cell, read_cell
 from deploy.curriculum_config import CurriculumConfig
 from deploy.processes import NAMES, WATCHDOG, process_of, processes_of
@@ -104,6 +104,8 @@ def method_problems(cell: Cell) -> Iterable[str]:
         yield f"planner.masks ({planner.masks}) exceed model.plan_masks ({model.plan_masks})"
     if len(cell.learner.loss.decay) != len(model.hidden) + 1:
         yield f"learner.loss.decay: {len(model.hidden) + 1} values wanted, one per layer of model.hidden"
+    if cell.curriculum.goal_faces and not isinstance(get_task(cell.task), DieTask):
+        yield f"curriculum.goal_faces: task {cell.task} has no die"
     groups = [group.name for group in get_task(cell.task).groups]
     for name in cell.learner.loss.group_weights:
         if name not in groups:
@@ -114,8 +116,10 @@ def method_problems(cell: Cell) -> Iterable[str]:
 def _hand_problems(cell: Cell) -> Iterable[str]:
     if cell.plant == "sim":
         return
-    if cell.task != "die":
-        yield f"task: {cell.task} is none for the DexHand 021; it has: die"
+    try:
+        get_die_task(cell.task, cell.hand.hand)
+    except ValueError as error:
+        yield str(error)
     if cell.plant == "twin" and not cell.can.simulated:
         yield f"can.interface: an emulated hand has no place on {cell.can.interface}"
     if cell.plant == "hand" and cell.pose_source is PoseSource.TWIN:

@@ -10,8 +10,6 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from common.built import Built
 from common.bus import Inbox, Input, JobResult
 from common.messages import Ack, Episode, Metrics, Mode, Sample, Warmup
@@ -21,6 +19,7 @@ from common.topics import ACK, CHUNK, EPISODE, METRICS, STEP
 from deploy import schedule
 from deploy.curriculum_config import CurriculumProcess
 from deploy.curriculum_files import CurriculumFiles
+from deploy.goals import goal_of
 from deploy.schedule import Assignment, Done, Pending, Waiting
 from deploy.scores import EpisodeTrace, Row, Scoreboard, row_of
 
@@ -255,7 +254,7 @@ class CurriculumService:
         return Episode(
             episode=assigned.episode,
             goal_seq=0,
-            goal=np.zeros(0, np.float32),
+            goal=goal_of(self._task, assigned, self._config.curriculum),
             mode=assigned.mode,
             warmup=Warmup(self._config.curriculum.warmup) if random else Warmup.NONE,
             steps=0 if assigned.mode is Mode.IDLE else self._config.curriculum.episode_steps,

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from common.cell import SharedConfig
 from common.config import Frozen
+from common.die import FACES
 
 FIRST_EVALUATION_SEED = 1_000_000
+Face = Annotated[int, Field(ge=1, le=FACES)]
 
 
 class CurriculumConfig(Frozen):
@@ -19,6 +21,11 @@ class CurriculumConfig(Frozen):
         default=100, ge=0, description="training episodes after the warm-up, a new goal in each"
     )
     episode_steps: int = Field(default=50, ge=1, le=100_000, description="control steps of every episode")
+    goal_faces: tuple[Face, ...] = Field(
+        default=(),
+        description="die: faces to be brought up one after another, an equal share of `episodes` each; "
+        "held-out goals take turns. Empty: each episode's seed decides",
+    )
     warmup: Literal["uniform", "mix"] = Field(
         default="uniform",
         description="random actions: iid uniform (the paper's), or joints held for random durations, "

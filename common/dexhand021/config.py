@@ -33,7 +33,9 @@ _MODES = {
 class DexHandConfig(Frozen):
     """The hand as it is assumed to be; tables.py holds what its makers publish."""
 
-    hand: Hand = Field(default=Hand.RIGHT, description="left or right; decides board ids")
+    hand: Hand = Field(
+        default=Hand.RIGHT, description="left or right; decides board ids. left goes with task die_left"
+    )
     mode: Literal["cascaded_pid", "mit_torque", "impedance_grasp"] = Field(
         default="cascaded_pid", description="control mode; all three take angles"
     )

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from common import geometry
-from common.dexhand021.tables import BOARDS, JOINTS
+from common.dexhand021.tables import BOARDS, JOINTS, Hand
 from common.die import DIE, Die
 from common.geometry import Array, namespace
 from common.task.layout import Group
@@ -28,6 +31,7 @@ DIE_GROUPS = (
 TACTILE_FINGERS = tuple(board.name for board in BOARDS if board.has_tactile)
 JOINT_NAMES = tuple(joint.name for joint in JOINTS)
 GOAL_FACES = (2, 4, 5)
+TASK_OF: Mapping[Hand, str] = MappingProxyType({Hand.RIGHT: "die", Hand.LEFT: "die_left"})
 OUT_OF_PALM: Vector = (1.0, 0.0, 0.0)
 # Paper: how the hand is mounted is not said. Palm up, turned about its long axis so that the thumb is the
 # lower side: a die that is rolled to either side then stays within reach.
@@ -56,6 +60,7 @@ class DieTask(ManipulateTask):
     up: Vector = (math.cos(MOUNT_ROLL_RAD), -math.sin(MOUNT_ROLL_RAD), 0.0)
     start_position: Vector = (0.055, 0.0, 0.154)
     start_rotation: Quaternion = (0.5**0.5, 0.5**0.5, 0.0, 0.0)
+    hand: Hand = Hand.RIGHT
 
     def dropped(self, state: Array) -> Array:
         """Whether the die's centre is lower than the palm's frame plus `drop_height_m`: bool (...)."""
@@ -113,10 +118,20 @@ class DieTask(ManipulateTask):
         rotations = self.die.turns(face, OUT_OF_PALM, self.start_rotation, count)
         return np.concatenate([np.broadcast_to(self.start_position, (count, 3)), rotations], axis=1)
 
+    def draw_goal(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        """The goal (7,) of an episode that names none: the first draw from a generator of its seed."""
+        return self.goal(int(rng.choice(GOAL_FACES)))
+
+    def face_of(self, goal: NDArray[Any]) -> int:
+        """The face, 1 to 6, that a goal (7,) wants uppermost on a level palm."""
+        return int(self.die.uppermost(np.asarray(goal[3:], np.float64), OUT_OF_PALM))
+
     def mirrored(self) -> DieTask:
-        """The same for a left hand, whose thumb is on the other side."""
+        """The same for the other hand, whose thumb is on the other side."""
         (ux, uy, uz), (x, y, z) = self.up, self.start_position
-        return replace(self, up=(ux, -uy, uz), start_position=(x, -y, z))
+        hand = Hand.LEFT if self.hand is Hand.RIGHT else Hand.RIGHT
+        up, start = (ux, -uy, uz), (x, -y, z)
+        return replace(self, name=TASK_OF[hand], up=up, start_position=start, hand=hand)
 
     def _below(self, pose: Array) -> Array:
         ux, uy, uz = self.up

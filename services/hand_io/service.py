@@ -6,8 +6,6 @@ loop as in simulation, so that planner and learner cannot tell the two apart.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from common.bus import Inbox, Input
@@ -17,7 +15,7 @@ from common.hand_messages import Drive, HandCommand, HandFrame, HandJoints, Obje
 from common.messages import Episode, Fallback, Float32, Header
 from common.plant_loop import ACTIVE, Phase, PlantLoop, Seen
 from common.service import Output, Publish, Report, ToPort
-from common.task import Task
+from common.task import DieTask
 from common.topics import (
     ACK,
     ARM_REPLY,
@@ -48,12 +46,12 @@ STAY = HandCommand(Drive.HOLD, _EMPTY, 0)
 class DrivenHand:
     """What the loop moves: commands for the driver, and the way to the start of an episode."""
 
-    def __init__(self, config: HandIoProcess, task: Task, draw_goal: Callable[[int], Float32]) -> None:
+    def __init__(self, config: HandIoProcess, task: DieTask) -> None:
         self._period_ns = config.control.period_ns
         self._reset_ns = round(config.hand_io.reset_s * NS_PER_S)
         self._settle_ns = round(config.hand_io.settle_s * NS_PER_S)
         self._start = np.clip(to_normalised(config.hand_io.start_rad), -1.0, 1.0)
-        self._draw_goal = draw_goal
+        self._task = task
         self.goal: Float32 = np.zeros(task.goal_dim, np.float32)
         self.now_ns = 0
         self._reset_until_ns = 0
@@ -62,10 +60,13 @@ class DrivenHand:
 
     def reset(self, seed: int, goal: Float32) -> list[Output]:
         """Go to where the die is laid in; the goal is drawn from `seed` unless one is given."""
-        self.goal = goal if goal.size else self._draw_goal(seed)
+        self.goal = goal if goal.size else self._drawn(seed)
         self._reset_until_ns = self.now_ns + self._reset_ns
         self._rest = None
         return [self._to_start()]
+
+    def _drawn(self, seed: int) -> Float32:
+        return self._task.draw_goal(np.random.default_rng(seed)).astype(np.float32)
 
     def _to_start(self) -> Output:
         self._told_ns = self.now_ns
@@ -112,13 +113,11 @@ class HandIoService:
         Input(ARM_REQUEST, wake=True),
     )
 
-    def __init__(
-        self, config: HandIoProcess, task: Task, draw_goal: Callable[[int], Float32], boot_id: int
-    ) -> None:
+    def __init__(self, config: HandIoProcess, task: DieTask, boot_id: int) -> None:
         own = config.hand_io
         self._task = task
         self.period_ns: int | None = config.control.period_ns
-        self._hand = DrivenHand(config, task, draw_goal)
+        self._hand = DrivenHand(config, task)
         self._loop = PlantLoop(config.control, task, boot_id, self._hand)
         fresh = Freshness(own.stale_ms, own.pose_stale_ms, own.pose_quality, config.pose_source)
         self._fusion = Fusion(task, fresh)

@@ -13,8 +13,8 @@ from common import geometry
 from common.dexhand021 import angles
 from common.dexhand021.config import DexHandConfig
 from common.dexhand021.tables import HIGH_RAD, LOW_RAD, MOTORS, Hand
-from common.task import DieTask, get_task
-from common.task.die import GOAL_FACES, OUT_OF_PALM
+from common.task import DieTask, get_die_task
+from common.task.die import OUT_OF_PALM, TASK_OF
 from services.sim import dexhand_links as links
 from services.sim.dexhand_model import PALM, build_model, mount_of, passive_ratios
 from services.sim.dexhand_physics import TwinPhysics
@@ -50,10 +50,8 @@ class DexHandTwin:
         physics: TwinPhysics | None = None,
     ) -> None:
         """Build the model and reset it to `seed`; `assumed` tells what is not public about the hand."""
-        task = get_task("die")
-        assert isinstance(task, DieTask)
         assumed = (assumed or DexHandConfig()).model_copy(update={"hand": Hand(hand)})
-        self.task: DieTask = task if assumed.hand is Hand.RIGHT else task.mirrored()
+        self.task: DieTask = get_die_task(TASK_OF[assumed.hand], assumed.hand)
         self.physics = physics or TwinPhysics()
         mujoco.set_mju_user_warning(log.warning)  # else they go to a file in the working directory
         self.model: Any = build_model(self.task, assumed, self.physics)
@@ -62,8 +60,8 @@ class DexHandTwin:
         self._addresses = _Addresses(self.model)
         self._ratios = _passive_matrix(assumed)
         self._asked_s = 0.0  # until when time was to pass
-        self._goal = np.zeros(task.goal_dim)
-        self._state = np.zeros(task.state_dim)
+        self._goal = np.zeros(self.task.goal_dim)
+        self._state = np.zeros(self.task.state_dim)
         self.reset(seed)
 
     # --- as a plant -------------------------------------------------------------------------------
@@ -253,7 +251,7 @@ class DexHandTwin:
     def _drawn(self, seed: int) -> tuple[Floats, np.random.Generator]:
         """The goal (G,) of an episode, and the generator for the rest of it."""
         rng = np.random.default_rng(seed)
-        return self.task.goal(int(rng.choice(GOAL_FACES))), rng
+        return self.task.draw_goal(rng), rng
 
     def _laid(self, rng: np.random.Generator) -> tuple[Floats, Floats]:
         """A pose near the task's initial one, a little above it: position (3,) and rotation (4,)."""

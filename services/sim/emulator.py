@@ -10,8 +10,7 @@ import sys
 from common.built import Built
 from common.config import ConfigError
 from common.process import run_process
-from common.task import get_task
-from common.task.die import DieTask
+from common.task import get_die_task
 from services.sim.dexhand_twin import DexHandTwin
 from services.sim.emulator_config import EmulatorProcess
 from services.sim.emulator_port import FAULT_QUERY, SWITCH_S, EmulatorPort
@@ -20,9 +19,10 @@ from services.sim.emulator_service import EmulatorService
 
 def build(config: EmulatorProcess, boot_id: int) -> Built:
     """Make the hand, its bus, and who looks after it. Raises ConfigError for a task without a die."""
-    task = get_task(config.task)
-    if not isinstance(task, DieTask):
-        raise ConfigError([f"task: {config.task} is none for the DexHand 021; it has: die"])
+    try:
+        task = get_die_task(config.task, config.hand.hand)
+    except ValueError as error:
+        raise ConfigError([str(error)]) from None
     twin = DexHandTwin(config.hand.hand, config.seed, assumed=config.hand)
     port = EmulatorPort(config.can, config.hand, config.emulator, twin, task)
     service = EmulatorService(config, boot_id)

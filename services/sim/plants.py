@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from common.task import DieTask, get_task
 from services.sim.interface import Plant
 
 
@@ -11,10 +12,11 @@ def make_plant(task_name: str, rate_hz: float | None = None) -> Plant:
     Raises ValueError for an unknown task.
     """
     # Imported when needed: the environments of the one take seconds, and the other does without them.
-    if task_name == "die":
+    task = get_task(task_name)
+    if isinstance(task, DieTask):
         from services.sim.dexhand_twin import DexHandTwin
 
-        return DexHandTwin() if rate_hz is None else DexHandTwin(rate_hz=rate_hz)
+        return DexHandTwin(task.hand) if rate_hz is None else DexHandTwin(task.hand, rate_hz=rate_hz)
     from services.sim.plant import ShadowHandPlant
 
     return ShadowHandPlant(task_name)

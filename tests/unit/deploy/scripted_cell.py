@@ -14,7 +14,7 @@ from common.lockstep import Lockstep
 from common.messages import Ack, Episode, Fallback, Metrics, Mode, Step
 from common.runner import Dispatcher
 from common.service import Job, Output, Publish, Report
-from common.task import get_task
+from common.task import Task, get_task
 from common.topics import ACK, EPISODE, METRICS, STEP
 from deploy.curriculum import CurriculumService, build
 from deploy.curriculum_config import CurriculumProcess
@@ -32,18 +32,18 @@ def config(run_dir: Path, **curriculum) -> CurriculumProcess:
     )
 
 
-def step_message(episode: Episode, k: int, **changes) -> Step:
+def step_message(episode: Episode, k: int, task: Task = TASK, **changes) -> Step:
     values = {
         "episode": episode.episode,
         "goal_seq": episode.goal_seq,
         "k": k,
         "steps": episode.steps,
         "mode": episode.mode,
-        "state": np.full(TASK.state_dim, 0.01 * k, np.float32),
-        "part_valid": np.ones(len(TASK.groups), np.uint8),
-        "part_age_ms": np.zeros(len(TASK.groups), np.float32),
-        "prev_action": np.zeros(TASK.action_dim, np.float32),
-        "goal": np.zeros(TASK.goal_dim, np.float32),
+        "state": np.full(task.state_dim, 0.01 * k, np.float32),
+        "part_valid": np.ones(len(task.groups), np.uint8),
+        "part_age_ms": np.zeros(len(task.groups), np.float32),
+        "prev_action": np.zeros(task.action_dim, np.float32),
+        "goal": np.zeros(task.goal_dim, np.float32),
         "chunk_seq": -1,
         "chunk_offset": -1,
         "fallback": Fallback.NONE,
@@ -62,8 +62,9 @@ class ScriptedPlant:
     inputs = (Input(EPISODE, newest=True, wake=True),)
     period_ns = None
 
-    def __init__(self, boot_id: int = 1, dies_in: tuple[int, ...] = ()) -> None:
+    def __init__(self, boot_id: int = 1, dies_in: tuple[int, ...] = (), task: Task = TASK) -> None:
         self.boot_id = boot_id
+        self.task = task
         self.dies_in = dies_in
         self.seen: list[Episode] = []
         self.times_ns: dict[int, int] = {}
@@ -81,8 +82,8 @@ class ScriptedPlant:
         return out
 
     def _run(self, episode: Episode) -> list[Output]:
-        waiting = [] if episode.mode is Mode.RANDOM else [step_message(episode, 0, waiting=True)]
-        steps = [step_message(episode, k) for k in range(episode.steps + 1)]
+        waiting = [] if episode.mode is Mode.RANDOM else [step_message(episode, 0, self.task, waiting=True)]
+        steps = [step_message(episode, k, self.task) for k in range(episode.steps + 1)]
         if episode.episode in self.dies_in:
             steps = steps[: len(steps) // 2]
         return [Publish(STEP, message) for message in waiting + steps]
@@ -167,15 +168,15 @@ class ScriptedCell:
         plant: ScriptedPlant | None = None,
         learner: ScriptedLearner | None = None,
     ) -> None:
-        self.plant = plant or ScriptedPlant()
+        self.plant = plant or ScriptedPlant(task=get_task(settings.task))
+        self.codec = codec_for(settings.task)
         self.learner = learner or ScriptedLearner(settings.warmup_steps)
         self.bus = LocalBus()
         service = build(settings, boot_id=2).service
         assert isinstance(service, CurriculumService)
         self.curriculum = service
         self.dispatchers = [
-            Dispatcher(each, codec_for("reach"), self.bus, {})
-            for each in (self.plant, self.curriculum, self.learner)
+            Dispatcher(each, self.codec, self.bus, {}) for each in (self.plant, self.curriculum, self.learner)
         ]
         self.lockstep = Lockstep(self.dispatchers, VirtualClock())
         self.instants = 0
@@ -183,7 +184,7 @@ class ScriptedCell:
         self.bus.subscribe(EPISODE, self._note)
 
     def _note(self, key: str, payload: bytes) -> None:
-        self.published.append(codec_for("reach").decode(key, payload).message)
+        self.published.append(self.codec.decode(key, payload).message)
 
     def run(self, seconds: float = 10_000, instants: int = 10**9) -> bool:
         """True: finished."""

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from common.task import get_task
+from common.dexhand021.tables import Hand
+from common.task import get_die_task, get_task
 
 TASK = get_task("die")
 FLAT = np.concatenate([np.zeros(17), TASK.goal(1)])
@@ -94,4 +95,32 @@ def test_implausible_states_are_named_as_such():
 def test_a_left_hand_has_its_thumb_on_the_other_side():
     left = TASK.mirrored()
     assert left.up == (TASK.up[0], -TASK.up[1], TASK.up[2])
+    assert (left.name, left.hand) == ("die_left", Hand.LEFT)
     assert left.mirrored() == TASK
+    assert get_task("die_left") == left
+
+
+def test_a_die_beside_the_thumb_is_lower_in_the_one_hand_and_higher_in_the_other():
+    state = FLAT.copy()
+    state[17:20] = 0.01, 0.06, 0.15  # the palm is rolled by 15 degrees: 16 mm down, or up
+    assert TASK.dropped(state)
+    assert not TASK.mirrored().dropped(state)
+
+
+def test_only_the_hands_own_task_is_given():
+    assert get_die_task("die", Hand.RIGHT) == TASK
+    assert get_die_task("die_left", Hand.LEFT) == TASK.mirrored()
+    for name, hand, other in (("die", Hand.LEFT, "die_left"), ("die_left", Hand.RIGHT, "die")):
+        with pytest.raises(ValueError, match=f"task: {name} is none .* it has: {other}$"):
+            get_die_task(name, hand)
+
+
+@pytest.mark.parametrize("task", [TASK, TASK.mirrored()], ids=["right", "left"])
+def test_a_goal_tells_its_face(task):
+    for face in range(1, 7):
+        assert [task.face_of(goal) for goal in task.goals(face)] == [face] * 4
+
+
+def test_goals_are_drawn_evenly_from_the_papers_faces():
+    faces = [TASK.face_of(TASK.draw_goal(np.random.default_rng(seed))) for seed in range(300)]
+    assert {face: faces.count(face) > 70 for face in faces} == {2: True, 4: True, 5: True}

@@ -31,7 +31,8 @@ def test_groups_tile_the_state_in_order(name):
     for before, after in zip(task.groups, task.groups[1:], strict=False):
         assert before.stop == after.start
     sizes = (task.state_dim, task.goal_dim, task.action_dim, len(task.joint_names))
-    assert sizes == {"reach": (63, 15, 20, 24), "die": (24, 7, 12, 12)}.get(name, (61, 7, 20, 24))
+    die = dict.fromkeys(("die", "die_left"), (24, 7, 12, 12))
+    assert sizes == ({"reach": (63, 15, 20, 24)} | die).get(name, (61, 7, 20, 24))
     assert task.action_dim == len(task.actuator_names)
 
 

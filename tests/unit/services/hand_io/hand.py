@@ -11,7 +11,8 @@ from common.built import codec_for
 from common.bus import Inbox
 from common.cell import ControlConfig
 from common.dexhand021.angles import to_normalised, to_radians
-from common.dexhand021.tables import HIGH_RAD
+from common.dexhand021.config import DexHandConfig
+from common.dexhand021.tables import HIGH_RAD, Hand
 from common.hand_messages import (
     ArmRequest,
     ArmWish,
@@ -24,7 +25,8 @@ from common.hand_messages import (
 )
 from common.messages import Header
 from common.service import Publish, ToPort
-from common.task import get_task
+from common.task import get_die_task, get_task
+from common.task.die import TASK_OF
 from common.topics import ARM_REQUEST, HAND_FRAME, OBJECT_POSE, STEP
 from services.hand_io.config import HandIoConfig, HandIoProcess
 from services.hand_io.service import HandIoService
@@ -64,14 +66,15 @@ POSE = ObjectPose(
 class DrivenService:
     """Steps the service; `turn` lets 20 ms pass and shows it a frame, with a tick every `rate_hz`."""
 
-    def __init__(self, control=None, **options):
+    def __init__(self, control=None, hand=Hand.RIGHT, **options):
         quick = {"recover_s": 0.0, "reset_s": 0.1, "settle_s": 0.0, "hold_s": 1.0}
         config = HandIoProcess(
-            task="die",
+            task=TASK_OF[hand],
+            hand=DexHandConfig(hand=hand),
             control=control or ControlConfig(rate_hz=10, steps_per_plan=2),
             hand_io=HandIoConfig(**{**quick, **options}),
         )
-        self.service = HandIoService(config, TASK, lambda seed: TASK.goal(2).astype(np.float32), 11)
+        self.service = HandIoService(config, get_die_task(TASK_OF[hand], hand), 11)
         self.inbox = Inbox(CODEC, self.service.inputs)
         self.now_ns, self._seq = 10**18, Counter()
         self.frame, self.pose = GOOD_FRAME, POSE
@@ -108,6 +111,10 @@ class DrivenService:
         if command.drive is Drive.FOLLOW:
             target = to_radians(command.action).astype(np.float32)
             self.frame = replace(self.frame, target_rad=target, angle_rad=target)
+
+    def lay(self, position):
+        """Move the die, turned as it is, to `position` (3,)."""
+        self.pose = replace(self.pose, position=position)
 
     def arm(self, wish=ArmWish.ARM):
         self.send(ARM_REQUEST, ArmRequest(wish))

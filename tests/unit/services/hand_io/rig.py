@@ -15,11 +15,13 @@ from common.cell import ControlConfig
 from common.clock import WallClock
 from common.codec import Codec
 from common.dexhand021.config import DexHandConfig
+from common.dexhand021.tables import Hand
 from common.hand_messages import ArmRequest, ArmWish
 from common.live import LiveRunner
 from common.messages import Episode, Header, Mode, Warmup
 from common.runner import Dispatcher
-from common.task import get_task
+from common.task import get_die_task
+from common.task.die import TASK_OF
 from common.topics import ARM_REPLY, ARM_REQUEST, EPISODE, HAND_JOINTS, HEALTH, STEP
 from services.hand_io.build import build
 from services.hand_io.config import HandIoConfig, HandIoProcess
@@ -49,14 +51,16 @@ DIE = codec_for("die")
 class Rig:
     """From start to `close`; what was published is in `steps`, `joints` and `health`."""
 
-    def __init__(self, interface="virtual", port=43113, twin=None, **options):
+    def __init__(self, interface="virtual", port=43113, twin=None, hand=Hand.RIGHT, **options):
         channel = "239.74.163.2" if interface == "udp_multicast" else f"rig{next(_numbers)}"
         self.can = CanConfig(interface=interface, channel=channel, port=port)
-        shared = {"task": "die", "can": self.can, "control": ControlConfig(rate_hz=20, steps_per_plan=1)}
+        task, assumed = get_die_task(TASK_OF[hand], hand), DexHandConfig(hand=hand)
+        shared = {"task": task.name, "can": self.can, "hand": assumed}
+        shared |= {"control": ControlConfig(rate_hz=20, steps_per_plan=1)}
         config = HandIoProcess(**shared, hand_io=HandIoConfig(**{**QUICK, **options}))
         own = EmulatorConfig(silence_s=0.2, lay_after_s=0.05)
         self.twin = twin or KinematicTwin()
-        self.emulator = EmulatorPort(self.can, DexHandConfig(), own, self.twin, get_task("die"))
+        self.emulator = EmulatorPort(self.can, assumed, own, self.twin, task)
         self.bus = LocalBus()
         self.steps, self.joints, self.health = [], [], []
         for topic, kept in ((STEP, self.steps), (HAND_JOINTS, self.joints), (HEALTH, self.health)):

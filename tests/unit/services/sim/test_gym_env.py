@@ -37,6 +37,17 @@ def test_gymnasiums_own_checker_is_content(env):
         check_env(env.unwrapped, skip_render_check=True)
 
 
+def test_a_left_hand_has_the_mirrored_task():
+    left = DexHandDieEnv(hand="left")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(left, skip_render_check=True)
+    poses = np.array([[0.01, side, 0.15, *left._twin.task.start_rotation] for side in (0.06, -0.06)])
+    for env, dropped in ((left, [False, True]), (DexHandDieEnv(), [True, False])):
+        penalty = env.compute_reward(poses, poses, {})
+        assert penalty.tolist() == [-2.0 * d for d in dropped]
+
+
 def test_an_episode_has_fifty_steps_or_ends_with_a_drop(env):
     env.reset(seed=1)
     still = env.unwrapped._twin.joint_angles_rad

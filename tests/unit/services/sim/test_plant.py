@@ -178,7 +178,7 @@ def test_chance_is_where_it_was_measured(make):
 
 
 def test_every_task_has_an_environment_and_no_other_has():
-    assert {*ENV_IDS, "die"} == set(TASKS)
+    assert {*ENV_IDS, "die", "die_left"} == set(TASKS)
     with pytest.raises(ValueError, match="pen"):
         ShadowHandPlant("pen")
 
