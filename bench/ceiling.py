@@ -1,10 +1,9 @@
-"""How near constant control comes to each reach goal on the true simulator: what learned control is held to.
+"""What is possible on the true simulator, goal by goal: the references that learned control is held to.
 
-Gauss-Newton with Levenberg's damping over held postures. A lower bound on what the hand can do, since the
-search is local and a moving hand may pass a contact that a held one cannot. A bound from the other side: the
-collision capsules of thumb and meeting finger keep their tip sites 12.7 mm apart, while the goals are 3 to
-8 mm apart. Short of interpenetration one of the two stays at least 2.2 mm off, for each of the 86 meeting
-goals among 100 seeds from 1 000 000 (the other 14 ask for the start posture).
+    python -m bench.ceiling --task egg_rotate --goals 30 --rows bench/results/ceiling_egg_rotate.jsonl --json
+
+Reach: the best held posture of each goal. Manipulation: the oracle, with growing budgets until it no longer
+improves. Started again it goes on behind the last goal in the file of `--rows`.
 """
 
 from __future__ import annotations
@@ -12,164 +11,133 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import asdict, dataclass
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
+import torch
 from rich.console import Console
 from rich.progress import track
 
-from bench.statistics import wilson
-from services.sim.plant import ShadowHandPlant
+from bench.held_posture import score as held_score
+from bench.methods import configure
+from bench.oracle import Budget, Oracle
+from bench.provenance import provenance
+from bench.references import HELD, best
+from bench.summary import result_line, result_of
+from common.config import ConfigError, digest
+from deploy.curriculum_config import FIRST_EVALUATION_SEED
+from deploy.curve import read_episodes
+from deploy.scores import Row, main_error
+from services.sim.plant import ENV_IDS, ShadowHandPlant
 
-EPISODE_STEPS = 50
+# Each about three times the simulated steps of the one before.
+LADDER = (
+    Budget(32, 2, 10, 4),
+    Budget(64, 2, 16, 4),
+    Budget(128, 3, 16, 4),
+    Budget(256, 4, 20, 5),
+    Budget(512, 5, 25, 6),
+)
+_LEAST_GAIN = 0.05  # relative decrease of the mean error that counts as improvement
 
-_STARTS = 3
-_GOOD_ENOUGH_M = 0.0005  # mean finger error at which no other start is tried
-_ITERATIONS = 12
-_SETTLE_STEPS = 12  # 0.5 s: a hand at rest has settled after a small change of its targets
-_PERTURBATION = 0.02
-_DAMPINGS = (1e-5, 1e-4, 1e-3, 1e-2)
-_LEAST_GAIN = 0.002  # relative decrease of the error below which the search stops
-
-Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Held:
-    """One action (A,) held for an episode: residual tips - goal (15,), m, at its end, and the return."""
-
-    action: Floats
-    residual_m: Floats
-    episode_return: float
-
-    @property
-    def mean_finger_m(self) -> float:
-        """Mean over fingers of the distance to the goal."""
-        return float(np.linalg.norm(self.residual_m.reshape(-1, 3), axis=-1).mean())
+Score = Callable[[int], Row]
 
 
-@dataclass(frozen=True)
-class GoalResult:
-    """What the best constant control attains for the goal of one seed."""
+def ceiling(
+    budgets: Mapping[str, Score], seeds: Sequence[int], labels: Mapping[str, Any], file: Path | None
+) -> list[Row]:
+    """Score the goals with one budget after the other until one does not improve; returns all rows.
 
-    seed: int
-    mean_finger_m: float
-    worst_finger_m: float
-    norm_15d_m: float
-    episode_return: float
-    successes: dict[str, bool]
-
-
-def hold(plant: ShadowHandPlant, seed: int, action: Floats) -> Held:
-    """Execute the constant `action` (A,) for an episode from the start of `seed`."""
-    goal = plant.reset(seed).goal
-    total = sum(float(plant.task.env_reward(plant.step(action), goal)) for _ in range(EPISODE_STEPS))
-    return Held(action, plant.task.achieved(plant.state) - goal, total)
-
-
-def jacobian(plant: ShadowHandPlant, action: Floats) -> Floats:
-    """Change of the resting tips (15, A), m, per change of the held action, around the present posture."""
-    here = plant.save()
-    columns = [_settled(plant, action)]
-    for joint in range(action.size):
-        plant.restore(here)
-        columns.append(_settled(plant, action + _inward(action, joint)))
-    plant.restore(here)
-    steps = [_inward(action, joint)[joint] for joint in range(action.size)]
-    return (np.stack(columns[1:], axis=-1) - columns[0][:, None]) / np.array(steps)
-
-
-def descend(plant: ShadowHandPlant, seed: int, start: Floats) -> Held:
-    """Improve the constant action `start` (A,) for the goal of `seed` until no damping gains any more."""
-    best = hold(plant, seed, start)
-    for _ in range(_ITERATIONS):
-        slope = jacobian(plant, best.action)
-        trials = [hold(plant, seed, _damped_step(best, slope, damping)) for damping in _DAMPINGS]
-        trial = min(trials, key=_error)
-        if _error(trial) > (1 - _LEAST_GAIN) * _error(best):
+    Rows are appended to `file` as they come, and those already in it are not computed again.
+    """
+    rows = read_episodes(file) if file else []
+    before: list[Row] = []
+    for name, score in budgets.items():
+        known = [row for row in rows if row["budget"] == name]
+        done = {row["episode_seed"] for row in known}
+        for seed in track([s for s in seeds if s not in done], name, console=Console(file=sys.stderr)):
+            begun_s = time.monotonic()
+            row = {**labels, "budget": name, "episode_seed": seed, **score(seed)}
+            row["wall_s"] = round(time.monotonic() - begun_s, 1)
+            rows.append(row)
+            _append(file, row)
+        now = [row for row in rows if row["budget"] == name and row["episode_seed"] in seeds]
+        if before and not improved(before, now):
             break
-        best = hold(plant, seed, trial.action)  # leaves the plant in the best posture, for the next Jacobian
-    return best
+        before = now
+    return rows
 
 
-def best_hold(plant: ShadowHandPlant, seed: int) -> Held:
-    """The best of up to three descents for the goal of `seed`, by mean finger error."""
-    rng = np.random.default_rng(seed)
-    best = descend(plant, seed, _first_posture(plant, seed))
-    for _ in range(_STARTS - 1):
-        if best.mean_finger_m < _GOOD_ENOUGH_M:
-            break
-        nearby = np.clip(best.action + rng.normal(scale=0.3, size=best.action.size), -1, 1)
-        best = min(best, descend(plant, seed, nearby), key=lambda held: held.mean_finger_m)
-    return best
+def improved(before: Sequence[Row], now: Sequence[Row]) -> bool:
+    """Whether a budget reaches more goals than the one before, or comes clearly nearer to them."""
+    errors = [sum(main_error(row)[1] for row in rows) for rows in (before, now)]
+    reached = [sum(row["success_paper"] for row in rows) for rows in (before, now)]
+    return reached[1] > reached[0] or errors[1] < (1 - _LEAST_GAIN) * errors[0]
 
 
-def evaluate(plant: ShadowHandPlant, seed: int) -> GoalResult:
-    """Find the best constant control for the goal of `seed` and measure it from a fresh start."""
-    held = hold(plant, seed, best_hold(plant, seed).action)
-    errors = {k: float(v) for k, v in plant.task.errors(plant.state, plant.goal).items()}
-    successes = {k: bool(v) for k, v in plant.task.successes(plant.state, plant.goal).items()}
-    return GoalResult(seed=seed, episode_return=held.episode_return, successes=successes, **errors)
+def scores(task: str, overrides: Sequence[str], threads: int) -> tuple[dict[str, Score], str]:
+    """What scores a goal, by name of the budget, and the hash of what it depends on. Raises ConfigError."""
+    if task == "reach":
+        plant = ShadowHandPlant(task)
+        return {HELD: lambda seed: held_score(plant, seed)}, HELD
+    cell = configure(task, "gc_pmpc", overrides, Path())
+    if cell.control.steps_per_plan == "auto":
+        raise ConfigError(["control.steps_per_plan: the oracle needs a number"])
+    x = cell.control.steps_per_plan
 
+    @cache
+    def oracle(budget: Budget) -> Oracle:
+        return Oracle(task, budget.applied(cell.planner), x, threads)
 
-def summarise(results: list[GoalResult]) -> dict[str, object]:
-    """Means over goals, and each success rate with its 95 % Wilson interval."""
-    names = ("mean_finger_m", "worst_finger_m", "norm_15d_m", "episode_return")
-    summary: dict[str, object] = {n: float(np.mean([getattr(r, n) for r in results])) for n in names}
-    for name in results[0].successes:
-        count = sum(r.successes[name] for r in results)
-        summary[name] = {"rate": count / len(results), "wilson_95": wilson(count, len(results))}
-    return {"goals": len(results), **summary}
+    return {b.name: lambda seed, b=b: oracle(b).score(seed) for b in LADDER}, digest(cell.planner)
 
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--task", choices=["reach"], default="reach")
-    parser.add_argument("--goals", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=1_000_000, help="seed of the first goal")
-    parser.add_argument("--json", action="store_true", help="print JSON, with every goal")
-    options = parser.parse_args()
-    plant = ShadowHandPlant(options.task)
-    seeds = range(options.seed, options.seed + options.goals)
-    progress = track(seeds, "goals", console=Console(file=sys.stderr))
-    results = [evaluate(plant, seed) for seed in progress]
-    summary = summarise(results)
-    if options.json:
-        print(json.dumps({"summary": summary, "goals": [asdict(r) for r in results]}))
+    arguments = _arguments()
+    torch.set_num_threads(1)
+    seeds = range(arguments.seed, arguments.seed + arguments.goals)
+    try:
+        budgets, config_hash = scores(arguments.task, arguments.overrides, arguments.threads)
+    except ConfigError as error:
+        sys.exit(f"bench.ceiling: {error}")
+    if arguments.budgets:
+        budgets = {name: budgets[name] for name in arguments.budgets}
+    labels = {"task": arguments.task, "method": "oracle", "config_hash": config_hash}
+    rows = ceiling(budgets, seeds, {**labels, "commit": provenance()["commit"]}, arguments.rows)
+    by_budget = {name: result_of([r for r in rows if r["budget"] == name]) for name in budgets}
+    chosen = best(rows)
+    if arguments.json:
+        found = {**labels, "best": chosen[0]["budget"], "budgets": by_budget, **provenance()}
+        print(json.dumps(found))
     else:
-        print("\n".join(f"{name:16} {value}" for name, value in summary.items()))
+        print("\n".join(f"{name:16} {result_line(result)}" for name, result in by_budget.items()))
 
 
-def _first_posture(plant: ShadowHandPlant, seed: int) -> Floats:
-    """The action (A,) whose targets are the joint angles that the episode starts with."""
-    angles = dict(zip(plant.task.joint_names, plant.reset(seed).state, strict=False))
-    low, high = plant.model.actuator_ctrlrange.T
-    wanted = np.array([angles[name] for name in plant.task.actuator_names])
-    return np.clip((2 * wanted - high - low) / (high - low), -1, 1)
+def _append(file: Path | None, row: Row) -> None:
+    if file:
+        with file.open("a", encoding="utf-8") as out:
+            out.write(json.dumps(row) + "\n")
 
 
-def _settled(plant: ShadowHandPlant, action: Floats) -> Floats:
-    for _ in range(_SETTLE_STEPS):
-        plant.step(action)
-    return plant.task.achieved(plant.state)
-
-
-def _inward(action: Floats, joint: int) -> Floats:
-    """A perturbation (A,) of one joint that stays within [-1, 1]."""
-    change = np.zeros_like(action)
-    change[joint] = -_PERTURBATION if action[joint] > 0 else _PERTURBATION
-    return change
-
-
-def _damped_step(held: Held, slope: Floats, damping: float) -> Floats:
-    normal = slope.T @ slope + damping * np.eye(held.action.size)
-    return np.clip(held.action - np.linalg.solve(normal, slope.T @ held.residual_m), -1, 1)
-
-
-def _error(held: Held) -> float:
-    return float(np.linalg.norm(held.residual_m))
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m bench.ceiling", description=(__doc__ or "").split("\n")[0]
+    )
+    parser.add_argument("--task", choices=list(ENV_IDS), default="reach")
+    parser.add_argument("--goals", type=int, default=30)
+    parser.add_argument("--seed", type=int, default=FIRST_EVALUATION_SEED, help="of the first goal")
+    parser.add_argument("--rows", type=Path, metavar="FILE", help="one JSON line per goal and budget")
+    parser.add_argument(
+        "--budget", dest="budgets", action="append", default=[], choices=[b.name for b in LADDER]
+    )
+    parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="a.b=c")
+    parser.add_argument("--threads", type=int, default=1, help="on which candidates are simulated")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    return parser.parse_args()
 
 
 if __name__ == "__main__":

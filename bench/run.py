@@ -3,7 +3,8 @@
     python -m bench.run --method gc_pmpc --task reach --seed 0 --episodes 100 --out DIR
 
 DIR receives config.yaml, episodes.jsonl (a line per episode), timing.jsonl (when each began), sessions.jsonl
-(commit, cores and versions of each start), the learner's data and checkpoints, summary.json and curve.png.
+(commit, cores and versions of each start), the learner's data and checkpoints, results.jsonl (a line per
+evaluation, the columns that methods are compared by), summary.json and curve.png.
 Started again it goes on where it was. Returns, errors and goals depend on seed and configuration alone, also
 after an interruption; time stamps and snapshot names do not survive one. Only an episode in the very instant
 of being stored can be lost by a kill; it is counted in `lost_episodes`.
@@ -28,6 +29,7 @@ from bench.lockstep_run import LockstepRun, Stalled, assemble
 from bench.methods import METHODS, configure
 from bench.provenance import provenance
 from bench.report import report
+from bench.result_rows import SESSIONS_FILE, TIMING_FILE, rows_of_run
 from bench.summary import line, summarise
 from common.config import ConfigError, read_yaml
 from deploy.cell import Cell
@@ -35,8 +37,7 @@ from deploy.curriculum_files import ROWS_FILE, read_rows
 
 CONFIG_FILE = "config.yaml"
 SUMMARY_FILE = "summary.json"
-TIMING_FILE = "timing.jsonl"
-SESSIONS_FILE = "sessions.jsonl"
+RESULTS_FILE = "results.jsonl"
 # What may change when a run is taken up again: nothing of it decides what is learned.
 _EXTENDABLE = ("run_dir", "config_hash", "log")
 
@@ -121,6 +122,8 @@ def train(cell: Cell, method: str, directory: Path, log: bool = False) -> dict[s
             watcher.note()
     summary = summarise(directory)
     (directory / SUMMARY_FILE).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+    results = "".join(json.dumps(row) + "\n" for row in rows_of_run(directory))
+    (directory / RESULTS_FILE).write_text(results, encoding="utf-8")
     return summary
 
 

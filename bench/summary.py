@@ -20,7 +20,7 @@ def summarise(directory: Path) -> dict[str, Any]:
     """Return what a finished run came to: its last evaluation, lateness, and the time that it took."""
     rows = read_rows(directory)
     planned = [row for row in rows if row["mode"] != "random"]
-    sessions = _json_lines(directory / "sessions.jsonl")
+    sessions = json_lines(directory / "sessions.jsonl")
     return {
         **{name: rows[-1][name] for name in _ABOUT if name in rows[-1]},
         "warmup_steps": sum(row["steps"] for row in rows if row["mode"] == "random"),
@@ -82,12 +82,13 @@ def share(rows: Sequence[Row], name: str) -> float:
 def _wall_s(directory: Path) -> float:
     """Add up the sessions, each as far as it noted an episode."""
     longest: dict[int, float] = {}
-    for row in _json_lines(directory / "timing.jsonl"):
+    for row in json_lines(directory / "timing.jsonl"):
         longest[row["session"]] = row["wall_s"]
     return round(sum(longest.values()), 1)
 
 
-def _json_lines(path: Path) -> list[dict[str, Any]]:
+def json_lines(path: Path) -> list[dict[str, Any]]:
+    """Return what a file of JSON lines holds, without a last line that a crash cut short."""
     text = path.read_text(encoding="utf-8") if path.exists() else ""
     return [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]
 

@@ -25,6 +25,10 @@ class ManipulateTask(Task):
     env_threshold_m: float = 0.010
     env_threshold_rad: float = 0.1
     drop_height_m: float = 0.08
+    # Where an object lies at the start of an episode, horizontally, world frame; and how it lies in the hand.
+    middle_m: tuple[float, float] = (1.009, 0.871)
+    middle_radius_m: float = 0.02
+    held_height_m: float = 0.16
 
     def achieved(self, state: Array) -> Array:
         """Object position, m, and rotation, wxyz: (..., 7), world frame."""
@@ -33,6 +37,17 @@ class ManipulateTask(Task):
     def dropped(self, state: Array) -> Array:
         """Whether the object's centre is below `drop_height_m`: bool (...)."""
         return state[..., self.group("object_position").stop - 1] < self.drop_height_m
+
+    def straying(self, state: Array) -> Array:
+        """How far (...), m, the object's centre is beyond `middle_radius_m` from `middle_m`, horizontally."""
+        xp, start = namespace(state), self.group("object_position").start
+        x, y = state[..., start] - self.middle_m[0], state[..., start + 1] - self.middle_m[1]
+        return xp.clip(xp.sqrt(x * x + y * y + 1e-12) - self.middle_radius_m, 0.0, None)
+
+    def sinking(self, state: Array) -> Array:
+        """How far (...), m, the object's centre is below `held_height_m`: it is about to leave the hand."""
+        xp = namespace(state)
+        return xp.clip(self.held_height_m - state[..., self.group("object_position").stop - 1], 0.0, None)
 
     def reward(self, state: Array, goal: Array) -> Array:
         """-(w·d_pos + d_rot) (...), d_rot = 2·arccos|⟨q, q*⟩| as in the paper's reward for the real hand.

@@ -52,6 +52,14 @@ class Task(ABC):
     def dropped(self, state: Array) -> Array:
         """Whether the object has left the hand: bool (...); never for a task without one."""
 
+    def straying(self, state: Array) -> Array:
+        """How far (...), m, an object is from where it is well held; 0 for a task without such a place."""
+        return namespace(state).zeros_like(state[..., 0])
+
+    def sinking(self, state: Array) -> Array:
+        """How far (...), m, an object has sunk out of the hand; 0 for a task without such a height."""
+        return namespace(state).zeros_like(state[..., 0])
+
     @abstractmethod
     def achieved(self, state: Array) -> Array:
         """The goal (..., G) that each state (..., S) attains."""

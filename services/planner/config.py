@@ -74,6 +74,16 @@ class PlannerConfig(Frozen):
     smooth_sign: Literal["subtract", "printed"] = Field(
         default="subtract", description="`printed` adds the term"
     )
+    stray_weight: float = Field(
+        default=0.0,
+        ge=0.0,
+        description="reward lost a step per metre that an object strays from its place",
+    )
+    sink_weight: float = Field(
+        default=0.0,
+        ge=0.0,
+        description="reward lost a step per metre that an object sinks out of the hand",
+    )
     disagreement_weight: float = Field(
         default=0.0, ge=0.0, description="per unit of the return's std over particles"
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -19,6 +20,14 @@ from services.planner.knots import Knots, shift
 from services.planner.objective import Objective
 from services.planner.particles import ParticleModel
 from services.planner.rollout import Rollout, mean_and_std
+
+
+class Predictor(Protocol):
+    """What tells where actions lead; shapes as in `Rollout`."""
+
+    def prefix(self, state: Tensor, committed: Tensor, noise: torch.Generator | None = None) -> Tensor: ...
+
+    def candidates(self, start: Tensor, actions: Tensor, noise: torch.Generator | None = None) -> Tensor: ...
 
 
 @dataclass(frozen=True)
@@ -61,7 +70,7 @@ class _Problem:
     `best` is the best candidate yet scored, kept so that the answer need not be rolled out again.
     """
 
-    rollout: Rollout
+    rollout: Predictor
     objective: Objective
     knots: Knots
     start: Tensor
@@ -114,12 +123,16 @@ class Mpc:
         self._config = config
         self._action_dim = task.action_dim
         self._objective = objective or Objective.create(task, config)
-        self._rollout: Rollout | None = None
+        self._rollout: Predictor | None = None
         self._memory: _Memory | None = None
 
     def set_model(self, model: ParticleModel) -> None:
         """Plan through `model` from the next plan on; the last plan stays as the warm start."""
-        self._rollout = Rollout(model, self._config.propagation)
+        self.set_predictor(Rollout(model, self._config.propagation))
+
+    def set_predictor(self, predictor: Predictor) -> None:
+        """As `set_model`, for what is no learned model: the true simulator."""
+        self._rollout = predictor
 
     def reset(self) -> None:
         """Forget the last plan and its elites: a new episode begins."""

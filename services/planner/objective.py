@@ -37,7 +37,7 @@ class Objective:
 
     @staticmethod
     def create(task: Task, config: PlannerConfig, terms: tuple[Term, ...] = ()) -> Objective:
-        """The objective of `task` with the weights of `config`."""
+        """The objective of `task` with the weights of `config`, and further `terms`."""
         slices = tuple(group.slice for group in task.groups if group.name in config.smooth_groups)
         sign = 1.0 if config.smooth_sign == "subtract" else -1.0
         return Objective(
@@ -47,7 +47,7 @@ class Objective:
             slices,
             sign * config.smooth_weight,
             config.disagreement_weight,
-            terms,
+            (*_hold_terms(task, config), *terms),
         )
 
     def __call__(self, start: Tensor, states: Tensor, goal: Tensor) -> Tensor:
@@ -83,3 +83,19 @@ class Objective:
         first = start.expand_as(states[0])[None]
         before = torch.cat((first, states[:-1]))
         return [states[..., part] - before[..., part] for part in self.smooth_slices]
+
+
+def _hold_terms(task: Task, config: PlannerConfig) -> tuple[Term, ...]:
+    """Prices on an object that leaves the hand; those of weight 0 are left out."""
+    # Paper: not in it. Where only rotation is rewarded, plans roll the object to the palm's edge.
+    terms: list[Term] = []
+    if config.stray_weight > 0.0:
+        terms.append(_price(config.stray_weight, task.straying))
+    if config.sink_weight > 0.0:
+        terms.append(_price(config.sink_weight, task.sinking))
+    return tuple(terms)
+
+
+def _price(weight: float, distance: Callable[[Tensor], Tensor]) -> Term:
+    """States (H, P, N, S) → the share (P, N) of the return that `distance` costs."""
+    return lambda states: -weight * distance(states).sum(0)

@@ -81,3 +81,20 @@ def test_the_residuals_norms_add_up_to_the_score():
     parts = scored.residuals(start, states, goal)
     norms = sum(part.norm(dim=-1).flatten(0, -2).sum(0) for part in parts)
     torch.testing.assert_close(-norms / P, scored(start, states, goal))
+
+
+def test_an_object_that_leaves_the_hand_costs_by_the_metre():
+    task = get_task("egg_rotate")
+    plain, priced = (
+        Objective.create(task, PlannerConfig(smooth_weight=0.0, stray_weight=stray, sink_weight=sink))
+        for stray, sink in ((0.0, 0.0), (10.0, 20.0))
+    )
+    states = torch.zeros(2, 1, 3, 61)
+    states[..., 54:57] = torch.tensor([1.009, 0.871, 0.17])
+    states[..., 57] = 1.0
+    states[0, 0, 1, 55] += 0.05  # 30 mm beyond the middle's 20, in one of two steps
+    states[:, 0, 2, 56] -= 0.04  # 30 mm too low in both
+    cost = plain(states[:1, :, 0], states, states[0, 0, 0, 54:]) - priced(
+        states[:1, :, 0], states, states[0, 0, 0, 54:]
+    )
+    torch.testing.assert_close(cost, torch.tensor([0.0, 0.3, 1.2]), atol=1e-4, rtol=0)

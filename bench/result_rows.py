@@ -1,0 +1,108 @@
+"""The rows that results are compared by: one per evaluation of a run, the same columns for every method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from bench.references import HELD, reference_rows
+from bench.statistics import wilson
+from bench.summary import json_lines
+from deploy.curriculum_files import read_rows
+from deploy.scores import Row
+
+SESSIONS_FILE = "sessions.jsonl"  # of bench.run: commit, cores and versions of each start
+TIMING_FILE = "timing.jsonl"  # of bench.run: when each episode began
+LEAST_CEILING = 0.10  # success of the oracle below which a ratio to it says nothing
+
+_CRITERIA = ("success_paper", "success_worst", "success_15d", "success_env")
+_ERRORS = {  # column → what rows call it, and the factor to the column's unit
+    "mean_finger_error_mm": ("error_mean_finger_m", 1000.0),
+    "rot_error_rad": ("error_rotation_rad", 1.0),  # 2·arccos|⟨q, q*⟩|
+    "pos_error_mm": ("error_position_m", 1000.0),
+}
+
+
+def result_row(about: Mapping[str, Any], rows: Sequence[Row], reference: Sequence[Row] = ()) -> Row:
+    """Put together what one evaluation came to; columns that a task lacks are None.
+
+    `about` is copied (task, method, seed, episode, config_hash, commit, wall_s, cores); `reference` holds the
+    ceiling's rows of the same goals, or fewer, in which case nothing is said of it.
+    """
+    successes = {name: _rate(name, rows) for name in _CRITERIA}
+    errors = {name: _mean(key, rows, factor) for name, (key, factor) in _ERRORS.items()}
+    intervals = {
+        name: [round(bound, 4) for bound in wilson(sum(row[name] for row in rows), len(rows))]
+        for name, rate in successes.items()
+        if rate is not None
+    }
+    returns = _mean("return", rows, 1.0)
+    beside = {"goals": len(rows), "return_mean": returns, **successes, **_beside(rows, reference)}
+    return {**about, **beside, "ci95": intervals, **errors}
+
+
+def rows_of_run(directory: Path) -> list[Row]:
+    """One row for each evaluation of a run that `bench.run` made, in order."""
+    rows = read_rows(directory)
+    session = json_lines(directory / SESSIONS_FILE)[-1]
+    evaluated = [row for row in rows if row["mode"] == "evaluate"]
+    found: list[Row] = []
+    for episode in sorted({row["trained_episodes"] for row in evaluated}):
+        now = [row for row in evaluated if row["trained_episodes"] == episode]
+        about = {
+            **{name: now[0].get(name) for name in ("task", "method", "seed")},
+            "episode": episode,
+            "config_hash": now[0].get("config_hash"),
+            "commit": session["commit"],
+            "wall_s": training_s(directory, rows, now[0]["episode"]),
+            "cores": session["cores"],
+        }
+        found.append(result_row(about, now, reference_rows(about["task"], [r["episode_seed"] for r in now])))
+    return found
+
+
+def training_s(directory: Path, rows: Sequence[Row], before: int) -> float:
+    """Wall time of a run's warm-up, episodes and updates ahead of an episode, without evaluations."""
+    evaluations = {row["episode"] for row in rows if row["mode"] == "evaluate"}
+    notes = json_lines(directory / TIMING_FILE)
+    spent = [
+        later["wall_s"] - note["wall_s"]
+        for note, later in pairwise(notes)
+        if note["session"] == later["session"] and note["episode"] < before
+        if note["episode"] not in evaluations
+    ]
+    return round(sum(spent), 1)
+
+
+def _beside(rows: Sequence[Row], reference: Sequence[Row]) -> dict[str, Any]:
+    """Success over reachable goals, and ratios to the oracle's success or, where it has none, error."""
+    names = ("success_reachable", "success_of_ceiling", "error_over_ceiling")
+    found: dict[str, Any] = dict.fromkeys(names)
+    if not reference:
+        return found
+    if reference[0]["budget"] == HELD:
+        reachable = {row["episode_seed"] for row in reference if row["success_paper"]}
+        kept = [row for row in rows if row["episode_seed"] in reachable]
+        return {**found, "success_reachable": _rate("success_paper", kept)}
+    ours, theirs = _rate("success_paper", rows), _rate("success_paper", reference)
+    if theirs is not None and theirs >= LEAST_CEILING:
+        return {**found, "success_of_ceiling": _ratio(ours, theirs)}
+    counted = ("rot_error_rad", "pos_error_mm") if rows[0]["task"] == "egg" else ("rot_error_rad",)
+    ratios = [_ratio(*(_mean(_ERRORS[name][0], each, 1.0) for each in (rows, reference))) for name in counted]
+    return {**found, "error_over_ceiling": max((r for r in ratios if r is not None), default=None)}
+
+
+def _rate(name: str, rows: Sequence[Row]) -> float | None:
+    verdicts = [bool(row[name]) for row in rows if name in row]
+    return round(sum(verdicts) / len(verdicts), 4) if verdicts else None
+
+
+def _mean(name: str, rows: Sequence[Row], factor: float) -> float | None:
+    values = [row[name] for row in rows if name in row]
+    return round(factor * sum(values) / len(values), 5) if values else None
+
+
+def _ratio(ours: float | None, theirs: float | None) -> float | None:
+    return round(ours / theirs, 4) if ours is not None and theirs else None
