@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
 
 from common.geometry import Array, namespace
 from common.task.layout import ACTUATOR_NAMES, FINGER_NAMES, JOINT_NAMES, Group
@@ -40,13 +44,22 @@ class Task(ABC):
     def plausible(self, state: Array) -> Array:
         """Whether each state (..., S) is finite and within every group's bounds: bool (...)."""
         xp = namespace(state)
-        inside = xp.all(xp.isfinite(state), axis=-1)
+        low, high = (xp.asarray(bound, dtype=state.dtype, device=state.device) for bound in self._bounds)
+        inside = xp.all((state >= low) & (state <= high), axis=-1)  # no NaN is
         for group in self.groups:
-            value = state[..., group.slice]
             if group.kind == "quaternion":
-                value = xp.linalg.vector_norm(value, axis=-1, keepdims=True)
-            inside = inside & xp.all((value >= group.low) & (value <= group.high), axis=-1)
+                norm = xp.linalg.vector_norm(state[..., group.slice], axis=-1)
+                inside = inside & (norm >= group.low) & (norm <= group.high)
         return inside
+
+    @cached_property
+    def _bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lowest and highest value (S,) of each dimension; a quaternion's parts are bounded by its norm."""
+        low, high = np.full(self.state_dim, -np.inf), np.full(self.state_dim, np.inf)
+        for group in self.groups:
+            if group.kind != "quaternion":
+                low[group.slice], high[group.slice] = group.low, group.high
+        return low, high
 
     @abstractmethod
     def dropped(self, state: Array) -> Array:

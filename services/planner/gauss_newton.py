@@ -33,22 +33,18 @@ def gauss_newton(
     Each step: residuals at the point and `difference` beside it in each coordinate, the damped least-squares
     step for several dampings and lengths, the best of those by `score`. It ends early if none is better.
     """
-    point, best = start, None
+    point, best = start, start.new_full((), -torch.inf)
     for _ in range(steps):
         beside, signed = _beside(point, difference)
         scores, residuals = score_and_residuals(beside)
-        here = usable(scores)[0] if best is None else best
-        if not torch.isfinite(here):
+        if not torch.isfinite(scores[0]):
             return nothing(start)
-        best = here
         trials = _trials(point, *_normal_equations(residuals, signed))
-        values = usable(score(trials))
+        tried, values = torch.cat((beside, trials)), usable(torch.cat((scores, score(trials))))
         value, index = values.max(0)
         if value <= best:
             break
-        point, best = trials[index], value
-    if best is None:
-        return nothing(start)
+        point, best = tried[index], value
     return Found(point, point[None], best[None], valid=True)
 
 
