@@ -16,8 +16,8 @@ import numpy as np
 import torch
 
 from bench.roofline import CeilingResult, Shape, ceiling, flops, seconds_per_call, torch_threads
+from common.model.choose import coordinates_of
 from common.model.config import ModelConfig
-from common.model.dynamics import feature_count
 from common.task import Task, get_task
 from services.learner.backprop import keep_freed_memory
 from services.learner.config import LearnerConfig
@@ -73,9 +73,9 @@ def matmuls(model: ModelConfig, task: Task, batch: int) -> Counter[Shape]:
 
     The first layer of step 1 needs no gradient of its input; step 2 does, since step 1 made that input.
     """
-    S, A, B, N = task.state_dim, task.action_dim, model.members, batch
+    coordinates, B, N = coordinates_of(model.coordinates, task), model.members, batch
     counts: Counter[Shape] = Counter()
-    for layer, (fan_in, fan_out) in enumerate(model.layer_sizes(feature_count(S, A), 2 * S)):
+    for layer, (fan_in, fan_out) in enumerate(model.layer_sizes(coordinates.inputs, 2 * coordinates.changes)):
         counts[B, N, fan_in, fan_out] += 2  # forward
         counts[B, fan_in, N, fan_out] += 2  # gradient of the weights
         counts[B, N, fan_out, fan_in] += 2 if layer > 0 else 1  # gradient of the input

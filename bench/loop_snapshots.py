@@ -9,6 +9,7 @@ from common.built import Built
 from common.bus import Inbox, Input
 from common.cell import SharedConfig
 from common.messages import SnapshotMessage
+from common.model.choose import coordinates_of
 from common.model.config import ModelConfig
 from common.model.dynamics import Dynamics
 from common.model.masks import MaskPool
@@ -59,14 +60,16 @@ class SnapshotSource:
 def untrained_snapshot(model: ModelConfig, task: Task, seed: int = 0) -> Snapshot:
     """A valid snapshot for the task: networks as they are drawn, identity normaliser."""
     generator = torch.Generator().manual_seed(seed)
-    quaternions = [group.slice for group in task.groups if group.kind == "quaternion"]
-    identity = Normaliser.identity(task.state_dim, task.action_dim)
-    dynamics = Dynamics.create(model, identity, quaternions, generator)
+    coordinates = coordinates_of(model.coordinates, task)
+    identity = Normaliser.identity(coordinates.inputs, coordinates.changes)
+    dynamics = Dynamics.create(model, identity, coordinates, generator)
     masks = MaskPool.draw(model.members, model.plan_masks, model.hidden, model.dropout, generator)
     meta = SnapshotMeta(
         task=task.name,
         state_dim=task.state_dim,
         action_dim=task.action_dim,
+        inputs=coordinates.inputs,
+        changes=coordinates.changes,
         counter=0,
         episodes=0,
         model=model,

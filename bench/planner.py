@@ -19,6 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from bench.roofline import CeilingResult, Shape, ceiling, clock, flops, torch_threads
+from common.model.choose import coordinates_of
 from common.model.config import ModelConfig
 from common.model.dynamics import Dynamics
 from common.model.masks import MaskPool
@@ -102,12 +103,12 @@ class Setting:
         """Model of the paper's size (B 5, 3 x 512), states, goals and committed actions drawn from `seed`."""
         generator = torch.Generator().manual_seed(seed)
         model = ModelConfig()
-        normaliser = Normaliser.identity(task.state_dim, task.action_dim)
-        quaternions = [group.slice for group in task.groups if group.kind == "quaternion"]
+        coordinates = coordinates_of(model.coordinates, task)
+        normaliser = Normaliser.identity(coordinates.inputs, coordinates.changes)
         return Setting(
             config,
             task,
-            Dynamics.create(model, normaliser, quaternions, generator),
+            Dynamics.create(model, normaliser, coordinates, generator),
             MaskPool.draw(model.members, model.plan_masks, model.hidden, model.dropout, generator),
             0.1 * torch.rand(_EPISODE_STEPS, task.state_dim, generator=generator).to(config.device),
             torch.rand(_EPISODE_STEPS, task.goal_dim, generator=generator).to(config.device),

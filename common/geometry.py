@@ -115,3 +115,12 @@ def to_rotation_vector(q: Array) -> Array:
     length = xp.linalg.vector_norm(u, axis=-1, keepdims=True)
     divisor = xp.clip(length, _SMALL_ANGLE, None)
     return u * xp.where(length < _SMALL_ANGLE, 2.0, 2 * xp.atan2(divisor, w) / divisor)
+
+
+def from_rotation_vector(vector: Array) -> Array:
+    """Unit quaternions (..., 4) of turns by ‖vector‖ (..., 3), rad, about it; differentiable at 0, too."""
+    xp = namespace(vector)
+    half = vector / 2
+    squared = xp.sum(half * half, axis=-1, keepdims=True) + _SMALL_ANGLE**2
+    angle_rad = xp.sqrt(squared)
+    return xp.concat([xp.cos(angle_rad), half * (xp.sin(angle_rad) / angle_rad)], axis=-1)

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from common.config import Frozen
 
+CoordinatesName = Literal["raw", "object", "contact"]
 Width = Annotated[int, Field(ge=1, le=65536)]
 
 
@@ -35,6 +36,11 @@ class ModelConfig(Frozen):
     )
     normalise: bool = Field(
         default=True, description="standardise inputs (the paper's BN, Eq. 3); false is the ablation"
+    )
+    coordinates: CoordinatesName = Field(
+        default="raw",
+        description="what networks take and give. raw: state and action as they are; object: motion in the "
+        "world's frame, orientation up to the object's symmetry; contact: and where the hand touches it",
     )
     targets: Literal["raw", "standardised"] = Field(
         default="raw",

@@ -17,38 +17,24 @@ SMALLEST_DEVIATION = 1e-12
 
 @dataclass(frozen=True)
 class Normaliser:
-    """Mean and standard deviation of states (S,), actions (A,) and state changes (S,), float32."""
+    """Mean and standard deviation of networks' inputs (I,) and of state changes (D,), float32."""
 
-    state_mean: Tensor
-    state_std: Tensor
-    action_mean: Tensor
-    action_std: Tensor
+    input_mean: Tensor
+    input_std: Tensor
     delta_mean: Tensor
     delta_std: Tensor
 
     @staticmethod
-    def identity(state_dim: int, action_dim: int) -> Normaliser:
+    def identity(inputs: int, changes: int) -> Normaliser:
         """The normaliser that changes nothing: means 0, deviations 1."""
-        widths = (state_dim, action_dim, state_dim)
-        return Normaliser(*(make(width) for width in widths for make in (torch.zeros, torch.ones)))
+        return Normaliser(*(make(width) for width in (inputs, changes) for make in (torch.zeros, torch.ones)))
 
-    @staticmethod
-    def fit(states: FloatArray, actions: FloatArray, deltas: FloatArray) -> Normaliser:
-        """Statistics of states (N, S), actions (N, A) and state changes (N, S)."""
-        moments = RunningMoments(states.shape[1], actions.shape[1])
-        moments.update(states, actions, deltas)
-        return moments.normaliser()
-
-    def state(self, state: Tensor) -> Tensor:
-        """BN(s) of Eq. (3), (.., S)."""
-        return (state - self.state_mean) * self.state_std.reciprocal()
-
-    def action(self, action: Tensor) -> Tensor:
-        """BN(a) of Eq. (3), (.., A)."""
-        return (action - self.action_mean) * self.action_std.reciprocal()
+    def standardised(self, inputs: Tensor) -> Tensor:
+        """BN of Eq. (3), (.., I)."""
+        return (inputs - self.input_mean) * self.input_std.reciprocal()
 
     def tensors(self) -> dict[str, Tensor]:
-        """The six tensors by name."""
+        """The four tensors by name."""
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     def to(self, device: torch.device | str) -> Normaliser:
@@ -59,12 +45,12 @@ class Normaliser:
 class RunningMoments:
     """Mean and variance that grow by one episode at a time, so that a refit costs nothing."""
 
-    def __init__(self, state_dim: int, action_dim: int) -> None:
-        self._parts = [_Moments(width) for width in (state_dim, action_dim, state_dim)]
+    def __init__(self, inputs: int, changes: int) -> None:
+        self._parts = [_Moments(width) for width in (inputs, changes)]
 
-    def update(self, states: FloatArray, actions: FloatArray, deltas: FloatArray) -> None:
-        """Add rows of states (N, S), actions (N', A) and state changes (N'', S)."""
-        for part, rows in zip(self._parts, (states, actions, deltas), strict=True):
+    def update(self, inputs: FloatArray, changes: FloatArray) -> None:
+        """Add rows of inputs (N, I) and state changes (N', D)."""
+        for part, rows in zip(self._parts, (inputs, changes), strict=True):
             part.update(rows)
 
     def normaliser(self) -> Normaliser:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,14 +11,15 @@ from pydantic import Field, ValidationError
 from torch import Tensor
 
 from common.config import Frozen
+from common.model.choose import StateLayout, coordinates_of
 from common.model.config import ModelConfig
-from common.model.dynamics import Dynamics, feature_count
+from common.model.dynamics import Dynamics
 from common.model.ensemble import Ensemble
 from common.model.masks import MaskPool
 from common.model.normaliser import Normaliser
 from common.model.sealed import SealError, content_digest, seal, unseal
 
-VERSION = 1
+VERSION = 2
 
 
 class SnapshotRefused(Exception):  # noqa: N818 - reads as what happened
@@ -32,6 +33,8 @@ class SnapshotMeta(Frozen):
     task: str
     state_dim: int = Field(ge=1, le=65536, description="S")
     action_dim: int = Field(ge=1, le=65536, description="A")
+    inputs: int = Field(ge=1, le=65536, description="I, features of the networks' input")
+    changes: int = Field(ge=1, le=65536, description="D, numbers that the networks predict")
     counter: int = Field(ge=0, description="snapshots that this learner made before")
     episodes: int = Field(ge=0, description="training episodes that the weights have seen")
     model: ModelConfig
@@ -102,18 +105,19 @@ class Snapshot:
         _check(tensors, meta)
         return _assemble(tensors, meta)
 
-    def dynamics(
-        self, task: str, state_dim: int, action_dim: int, quaternions: Sequence[slice], device: str = "cpu"
-    ) -> Dynamics:
+    def dynamics(self, layout: StateLayout, device: str = "cpu") -> Dynamics:
         """The model, without weight gradients. Raises SnapshotRefused when it was made for another task."""
-        made_for = (self.meta.task, self.meta.state_dim, self.meta.action_dim)
-        if made_for != (task, state_dim, action_dim):
-            raise SnapshotRefused(
-                f"made for task, S, A = {made_for}, not {(task, state_dim, action_dim)}".replace("'", "")
-            )
+        meta = self.meta
+        made_for = (meta.task, meta.state_dim, meta.action_dim)
+        wanted = (layout.name, layout.state_dim, layout.action_dim)
+        if made_for != wanted:
+            raise SnapshotRefused(f"made for task, S, A = {made_for}, not {wanted}".replace("'", ""))
+        coordinates = coordinates_of(meta.model.coordinates, layout)
+        if (coordinates.inputs, coordinates.changes) != (meta.inputs, meta.changes):
+            raise SnapshotRefused(f"made for other {meta.model.coordinates} coordinates than this program's")
         ensemble = Ensemble(self.weights, self.biases, self.max_log_var, self.min_log_var)
         standardised = self.meta.model.targets == "standardised"
-        model = Dynamics(ensemble.requires_grad_(False), self.normaliser, tuple(quaternions), standardised)
+        model = Dynamics(ensemble.requires_grad_(False), self.normaliser, coordinates, standardised)
         return model.to(device)
 
 
@@ -123,14 +127,14 @@ def _copy(tensor: Tensor) -> Tensor:
 
 def _shapes(meta: SnapshotMeta) -> dict[str, tuple[int, ...]]:
     """Name → shape of every tensor that a snapshot of this description must hold."""
-    model, S, A = meta.model, meta.state_dim, meta.action_dim
-    shapes: dict[str, tuple[int, ...]] = {"max_log_var": (S,), "min_log_var": (S,)}
-    for layer, (fan_in, fan_out) in enumerate(model.layer_sizes(feature_count(S, A), 2 * S)):
+    model, inputs, D = meta.model, meta.inputs, meta.changes
+    shapes: dict[str, tuple[int, ...]] = {"max_log_var": (D,), "min_log_var": (D,)}
+    for layer, (fan_in, fan_out) in enumerate(model.layer_sizes(inputs, 2 * D)):
         shapes[f"weight.{layer}"] = (model.members, fan_in, fan_out)
         shapes[f"bias.{layer}"] = (model.members, 1, fan_out)
     for layer, width in enumerate(model.hidden):
         shapes[f"mask.{layer}"] = (model.members, model.plan_masks, width)
-    for name, width in (("state", S), ("action", A), ("delta", S)):
+    for name, width in (("input", inputs), ("delta", D)):
         shapes |= {f"normaliser.{name}_mean": (width,), f"normaliser.{name}_std": (width,)}
     return shapes
 

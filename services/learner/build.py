@@ -35,7 +35,7 @@ def build(config: LearnerProcess, boot_id: int) -> Built:
         task.state_dim,
         task.action_dim,
         config.learner.holdout,
-        trainer.dynamics.quaternions,
+        trainer.dynamics.coordinates,
     )
     worker = LearnerWorker(directory, store, trainer)
     return Built(LearnerService(config.learner, config.warmup_steps, worker, boot_id))

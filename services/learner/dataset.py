@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
+from common.model.coordinates import Coordinates
 from common.storage import sweep_partial, write_atomically
 from services.learner.episode import Episode, EpisodeRefused, check, from_bytes, to_bytes
 from services.learner.replay import Replay
@@ -25,9 +25,9 @@ class EpisodeStore:
         state_dim: int,
         action_dim: int,
         holdout: float = 0.0,
-        quaternions: Sequence[slice] = (),
+        coordinates: Coordinates | None = None,
     ) -> None:
-        self.replay = Replay(state_dim, action_dim, holdout, quaternions)
+        self.replay = Replay(state_dim, action_dim, holdout, coordinates)
         self.corrupt: list[str] = []
         self._directory = directory
         self._boots: dict[int, int] = {}  # boot id of the plant by episode, in order of arrival

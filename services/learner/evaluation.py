@@ -43,7 +43,7 @@ def evaluate(
 
     The prediction is the average over members, Eq. (1), taken at the end of the run.
     """
-    device = dynamics.normaliser.state_mean.device
+    device = dynamics.normaliser.input_mean.device
     found = ModelErrors({}, {}, {})
     for steps in HORIZONS:
         runs = replay.trajectories(steps, split, limit)
@@ -84,11 +84,12 @@ def _add_calibration(
     members = dynamics.ensemble.weights[0].shape[0]
     state, action = runs.states[:, 0], runs.actions[:, 0]
     prediction = dynamics.predict(state.expand(members, -1, -1), action.expand(members, -1, -1), masks)
-    means = prediction.next_state_mean
+    means = prediction.change_mean
     deviation = (prediction.variance.mean(dim=0) + means.var(dim=0, correction=0)).sqrt()
-    error = means.mean(dim=0) - dynamics.same_hemisphere(state, runs.states[:, 1])
+    error = means.mean(dim=0) - dynamics.coordinates.change(state, runs.states[:, 1])
     for group in groups:
-        actual, expected = error[..., group.slice], deviation[..., group.slice]
+        part = dynamics.coordinates.part(group)
+        actual, expected = error[..., part], deviation[..., part]
         found.calibration[group.name] = _rms(actual) / _rms(expected)
         for sigmas in (1, 2):
             inside = (actual.abs() <= sigmas * expected).float().mean()

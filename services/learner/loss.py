@@ -1,7 +1,7 @@
 """The loss of Eq. (4), a function per term; every term is summed over the members.
 
-Letters: B members, N windows, S state. Reduction: mean over N and S, sum over B, in the variance penalty as
-in the likelihood.
+Letters: B members, N windows, D numbers of a change. Reduction: mean over N and D, sum over B, in the
+variance penalty as in the likelihood.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def loss_terms(
 ) -> LossTerms:
     """The terms of Eq. (4) but for weight decay.
 
-    `masks` act in step 1 and in step 2; `weights` (S,), default 1, weigh state dimensions.
+    `masks` act in step 1 and in step 2; `weights` (D,), default 1, weigh its numbers.
     """
     first = dynamics.predict(windows.state, windows.action, masks[0])
     first_target = dynamics.target(windows.state, windows.next_state)
@@ -60,7 +60,7 @@ def loss_terms(
 def second_prediction(
     dynamics: Dynamics, first: Prediction, windows: Windows, masks: Masks, options: LossConfig
 ) -> tuple[Prediction, Tensor]:
-    """Step 2 and its target (B, N, S): the change that leads from its input to the true s_{t+2}."""
+    """Step 2 and its target (B, N, D): the change that leads from its input to the true s_{t+2}."""
     # Paper: Eq. (4) prints the true s_{t+1} as input, yet calls the loss DPETS's, which feeds the model's own
     # prediction and lets the gradient through.
     state = windows.next_state if options.teacher_forcing else first.next_state_mean
@@ -69,7 +69,7 @@ def second_prediction(
 
 
 def nll(prediction: Prediction, target: Tensor, beta: float = 0.0, weights: Tensor | None = None) -> Tensor:
-    """E' Sigma^-1 E + log det Sigma for a diagonal Sigma, Eq. (4), terms 1 and 2; target (B, N, S).
+    """E' Sigma^-1 E + log det Sigma for a diagonal Sigma, Eq. (4), terms 1 and 2; target (B, N, D).
 
     With `beta` each dimension's error counts in proportion to its variance**beta, held constant.
     """
@@ -111,8 +111,8 @@ def bound_loss(ensemble: Ensemble, weight: float) -> Tensor:
 
 
 def _reduce(values: Tensor, weights: Tensor | None) -> Tensor:
-    """(B, N, S) → scalar: mean over N and S, each dimension weighed, sum over B."""
+    """(B, N, D) → scalar: mean over N and D, each dimension weighed, sum over B."""
     if weights is not None:
         values = values * weights
-    _, N, S = values.shape
-    return values.sum() * (1.0 / (N * S))
+    _, N, D = values.shape
+    return values.sum() * (1.0 / (N * D))

@@ -6,7 +6,6 @@ Letters: B members, N windows, S state, A action, T steps of an episode.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -14,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from common.model.coordinates import Coordinates, RawCoordinates
 from common.model.normaliser import Normaliser, RunningMoments
 from services.learner.episode import Episode, Float32
 
@@ -41,22 +41,26 @@ class Trajectories(NamedTuple):
 class Replay:
     """Grows by whole episodes; a window never crosses an episode nor touches an invalid state.
 
-    `quaternions` are the parts of the state that mean the same with the opposite sign.
+    `coordinates` say what its statistics are of; None: of state and action as they are.
     """
 
     def __init__(
-        self, state_dim: int, action_dim: int, holdout: float = 0.0, quaternions: Sequence[slice] = ()
+        self,
+        state_dim: int,
+        action_dim: int,
+        holdout: float = 0.0,
+        coordinates: Coordinates | None = None,
     ) -> None:
         self.state_dim, self.action_dim = state_dim, action_dim
         self.episodes = {"train": 0, "holdout": 0}
         self._holdout = holdout
-        self._quaternions = tuple(quaternions)
+        self._coordinates = coordinates or RawCoordinates(state_dim, action_dim)
         self._states = _Rows(state_dim)
         self._actions = _Rows(action_dim)
         # run[i]: how many valid steps follow row i within its episode; -1 when row i itself is invalid
         self._run = _Rows(1, np.int64)
         self._splits = {"train": _Split(), "holdout": _Split()}
-        self._moments = RunningMoments(state_dim, action_dim)
+        self._moments = RunningMoments(self._coordinates.inputs, self._coordinates.changes)
 
     def add(self, episode: Episode) -> Split:
         """Append one checked episode; returns the split that it went to."""
@@ -68,9 +72,7 @@ class Replay:
         self._splits[split].extend(first + np.flatnonzero(runs >= 2))
         self.episodes[split] += 1
         if split == "train":
-            moved = runs[:-1] >= 1
-            deltas = self._deltas(episode.states)[moved]
-            self._moments.update(episode.states[episode.valid], episode.actions, deltas)
+            self._moments.update(*self._described(episode, runs[:-1] >= 1))
         return split
 
     def windows(self, split: Split = "train") -> int:
@@ -119,13 +121,12 @@ class Replay:
         rows = torch.as_tensor(starts)[:, None] + torch.arange(steps + 1)
         return Trajectories(self._states.tensor()[rows], self._actions.tensor()[rows[:, :-1]])
 
-    def _deltas(self, states: Float32) -> Float32:
-        """(T + 1, S) → (T, S), as `Dynamics.target` sees them: a flipped sign would outweigh all motion."""
-        before, after = states[:-1], states[1:].copy()
-        for part in self._quaternions:
-            away = (before[:, part] * after[:, part]).sum(axis=1) < 0
-            after[away, part] *= -1
-        return after - before
+    def _described(self, episode: Episode, moved: NDArray[np.bool_]) -> tuple[Float32, Float32]:
+        """Inputs (T', I) and changes (T', D) of the steps (T,) that `moved` marks, as networks see them."""
+        rows = (episode.states[:-1], episode.states[1:], episode.actions)
+        before, after, actions = (torch.from_numpy(row[moved]) for row in rows)
+        inputs = self._coordinates.encode(before, actions)
+        return inputs.numpy(), self._coordinates.change(before, after).numpy()
 
     def _gather(self, start: Tensor) -> Windows:
         states, actions = self._states.tensor(), self._actions.tensor()

@@ -9,12 +9,14 @@ import json
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from common.model.choose import StateLayout, coordinates_of
 from common.model.config import ModelConfig
+from common.model.coordinates import Coordinates
 from common.model.dynamics import Dynamics
 from common.model.ensemble import Ensemble
 from common.model.masks import MaskPool, Masks
@@ -22,25 +24,11 @@ from common.model.normaliser import Normaliser
 from common.model.sealed import SealError, seal, unseal
 from common.model.snapshot import Snapshot, SnapshotMeta
 from common.storage import write_atomically
-from common.task.layout import Group
 from services.learner.backprop import TrainedEnsemble
 from services.learner.config import LearnerConfig
 from services.learner.evaluation import ModelErrors, evaluate
 from services.learner.loss import LossTerms, loss_terms, weight_decay
 from services.learner.replay import Replay, Windows
-
-
-class StateLayout(Protocol):
-    """What the trainer asks of a task."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def groups(self) -> tuple[Group, ...]: ...
-    @property
-    def state_dim(self) -> int: ...
-    @property
-    def action_dim(self) -> int: ...
 
 
 class TrainerStateRefused(Exception):  # noqa: N818 - reads as what happened
@@ -76,12 +64,12 @@ class Trainer:
         self._generator = torch.Generator().manual_seed(seed)
         self._train_masks = self._draw_masks(model.train_masks).to(device)
         self.plan_masks = self._draw_masks(model.plan_masks).to(device)
-        identity = Normaliser.identity(layout.state_dim, layout.action_dim)
-        quaternions = [group.slice for group in layout.groups if group.kind == "quaternion"]
-        fresh = Dynamics.create(model, identity, quaternions, self._generator)
+        coordinates = coordinates_of(model.coordinates, layout)
+        identity = Normaliser.identity(coordinates.inputs, coordinates.changes)
+        fresh = Dynamics.create(model, identity, coordinates, self._generator)
         self._ensemble = TrainedEnsemble.like(fresh.ensemble)
         self.dynamics = replace(fresh, ensemble=self._ensemble).to(device)
-        self._weights = _dimension_weights(config.loss.group_weights, layout, device)
+        self._weights = _dimension_weights(config.loss.group_weights, layout, coordinates, device)
         self._optimiser = _adam(self._ensemble, config)
 
     def begin(self, replay: Replay, updates: int) -> None:
@@ -127,6 +115,8 @@ class Trainer:
             task=self.layout.name,
             state_dim=self.layout.state_dim,
             action_dim=self.layout.action_dim,
+            inputs=self.dynamics.coordinates.inputs,
+            changes=self.dynamics.coordinates.changes,
             counter=self._snapshots,
             episodes=episodes,
             model=self.model,
@@ -242,7 +232,7 @@ class Trainer:
         layout = self.layout
         return json.dumps(
             {
-                "version": 1,
+                "version": 2,
                 "task": [layout.name, layout.state_dim, layout.action_dim],
                 "seed": self._seed,
                 "model": self.model.model_dump(mode="json"),
@@ -264,14 +254,16 @@ def _adam(ensemble: Ensemble, config: LearnerConfig) -> torch.optim.Adam:
     return torch.optim.Adam(groups, lr=config.learning_rate, fused=True)
 
 
-def _dimension_weights(weights: dict[str, float], layout: StateLayout, device: str) -> Tensor | None:
-    """Group weights → (S,), or None when every dimension weighs 1. Raises ValueError on an unknown group."""
+def _dimension_weights(
+    weights: dict[str, float], layout: StateLayout, coordinates: Coordinates, device: str
+) -> Tensor | None:
+    """Group weights → (D,), or None when every dimension weighs 1. Raises ValueError on an unknown group."""
     unknown = sorted(weights.keys() - {group.name for group in layout.groups})
     if unknown:
         raise ValueError(f"loss.group_weights: {layout.name} has no group {unknown[0]}")
     if not weights:
         return None
-    result = torch.ones(layout.state_dim)
+    result = torch.ones(coordinates.changes)
     for group in layout.groups:
-        result[group.slice] = weights.get(group.name, 1.0)
+        result[coordinates.part(group)] = weights.get(group.name, 1.0)
     return result.to(device)

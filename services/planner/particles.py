@@ -7,7 +7,7 @@ Letters: B members, M masks, P = B·M particles, N candidates, I inputs, S state
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import silu, softplus
 
+from common.model.coordinates import Coordinates, RawCoordinates
 from common.model.dynamics import Dynamics
 from common.model.masks import MaskPool
 
@@ -129,39 +130,38 @@ class NoiseHead:
 
 
 class Particles:
-    """The planner's model: s' = renormalise(s + f_p(s, a)) for P particles and N candidates at once."""
+    """The planner's model: s' = s moved by f_p(s, a), for P particles and N candidates at once."""
 
     def __init__(
-        self,
-        network: Network,
-        noise_head: NoiseHead | None = None,
-        renormalise: Callable[[Tensor], Tensor] = lambda state: state,
+        self, network: Network, coordinates: Coordinates, noise_head: NoiseHead | None = None
     ) -> None:
         self.network = network
         self.particles = network.particles
+        self._coordinates = coordinates
+        self._raw = isinstance(coordinates, RawCoordinates)
         self._noise_head = noise_head
-        self._renormalise = renormalise
 
     def step(self, state: Tensor, action: Tensor, noise: torch.Generator | None = None) -> Tensor:
         """As `ParticleModel.step`; differentiable in state and action unless `noise` is given."""
         if torch.is_grad_enabled() and (state.requires_grad or action.requires_grad):
-            moved: Tensor = _Step.apply(state, action, self.network)  # pyright: ignore[reportAssignmentType]
-            return self._renormalise(moved)
+            inputs = self._coordinates.encode(*_aligned(state, action))
+            change: Tensor = _Change.apply(inputs, self.network)  # pyright: ignore[reportAssignmentType]
+            return self._coordinates.moved(state, change)
         delta = self._evaluate(state, action)
         if noise is not None:
             delta = self._drawn(delta, noise)
-        return self._renormalise(state + delta)
+        return self._coordinates.moved(state, delta)
 
     def _evaluate(self, state: Tensor, action: Tensor) -> Tensor:
-        if not state.shape[1] == 1 < len(action):
-            return self.network.evaluate(_inputs(state, action))
+        if not self._raw or not state.shape[1] == 1 < len(action):
+            return self.network.evaluate(self._coordinates.encode(*_aligned(state, action)))
         # All candidates start at one state: its share of the first layer is summed up once, as a bias.
         first, S = self.network.layers[0], state.shape[2]
         bias = torch.baddbmm(first.bias, state, first.weight[:, :S])
         return self.network.evaluate(action.expand(self.particles, -1, -1), Layer(first.weight[:, S:], bias))
 
     def _drawn(self, output: Tensor, noise: torch.Generator) -> Tensor:
-        """Head's mean and log-variance (P, N, 2 S) → a sample of the state change (P, N, S)."""
+        """Head's mean and log-variance (P, N, 2 D) → a sample of the change (P, N, D)."""
         if self._noise_head is None:
             raise ValueError("these particles were built without the variance head")
         mean, raw_log_var = output.chunk(2, dim=-1)
@@ -180,33 +180,30 @@ def particles(
     """The first `members` of a model, each with the first `masks` of its planning pool (None: no Dropout).
 
     `sampled` keeps the variance head, which means alone do not need. Raises ValueError when the model has
-    fewer members or masks, or inputs other than state and action.
+    fewer members or masks.
     """
     weights, biases = _folded(dynamics, members)
-    state_dim = len(dynamics.normaliser.state_mean)
+    changes = dynamics.coordinates.changes
     if not sampled:
-        weights[-1], biases[-1] = weights[-1][..., :state_dim], biases[-1][..., :state_dim]
+        weights[-1], biases[-1] = weights[-1][..., :changes], biases[-1][..., :changes]
     if pool is not None:
         kept = [layer[:members] for layer in pool.particles(masks)]
         weights, biases = _with_masks(weights, biases, kept)
     pairs = zip(weights, biases, strict=True)
     network = Network([Layer(_as_weight(weight, device), _as_weight(bias, device)) for weight, bias in pairs])
     head = _noise_head(dynamics, device) if sampled else None
-    return Particles(network, head, dynamics.renormalise)
+    return Particles(network, dynamics.coordinates.to(device), head)
 
 
 def _folded(dynamics: Dynamics, members: int) -> tuple[list[Tensor], list[Tensor]]:
-    """Weights (B, in, out) and biases, float64, that take raw state and action and give the raw change."""
+    """Weights (B, in, out) and biases, float64, that take raw inputs and give the raw change."""
     ensemble, scale = dynamics.ensemble, dynamics.normaliser
     weights = [weight.detach()[:members].double() for weight in ensemble.weights]
     biases = [bias.detach()[:members].double() for bias in ensemble.biases]
     if len(weights[0]) < members:
         raise ValueError(f"{members} members wanted from an ensemble of {len(weights[0])}")
-    mean = torch.cat((scale.state_mean, scale.action_mean)).double()
-    if weights[0].shape[1] != len(mean):
-        raise ValueError(f"the model has {weights[0].shape[1]} inputs, state and action make {len(mean)}")
-    weights[0] = weights[0] / torch.cat((scale.state_std, scale.action_std)).double()[:, None]
-    biases[0] = biases[0] - mean[None] @ weights[0]
+    weights[0] = weights[0] / scale.input_std.double()[:, None]
+    biases[0] = biases[0] - scale.input_mean.double()[None] @ weights[0]
     if dynamics.standardised_targets:
         _scale_mean_head(weights, biases, scale.delta_mean.double(), scale.delta_std.double())
     return weights, biases
@@ -242,10 +239,9 @@ def _as_weight(tensor: Tensor, device: str | torch.device) -> Tensor:
     return tensor.to(device, torch.float32).contiguous()
 
 
-def _inputs(state: Tensor, action: Tensor) -> Tensor:
-    """State (P, N or 1, S) and action (N, A) side by side (P, N, S + A)."""
-    P, N = state.shape[0], len(action)
-    return torch.cat((state.expand(-1, N, -1), action.expand(P, -1, -1)), dim=-1)
+def _aligned(state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+    """State (P, N or 1, S) and action (N, A), for each particle and candidate: (P, N, S), (P, N, A)."""
+    return state.expand(-1, len(action), -1), action.expand(state.shape[0], -1, -1)
 
 
 def _forward(x: Tensor, layers: Sequence[Layer]) -> Tensor:
@@ -254,20 +250,15 @@ def _forward(x: Tensor, layers: Sequence[Layer]) -> Tensor:
     return layers[-1](x)
 
 
-class _Step(torch.autograd.Function):
-    """s + f(s, a) with gradients for state and action, none for the weights."""
+class _Change(torch.autograd.Function):
+    """The networks' mean change, with a gradient for the inputs and none for the weights."""
 
     @staticmethod
-    def forward(ctx: Any, state: Tensor, action: Tensor, network: Network) -> Tensor:
-        delta, saved = network.evaluate_saving(_inputs(state, action))
-        ctx.network, ctx.saved, ctx.shared = network, saved, state.shape[1] == 1
-        return delta.add_(state)
+    def forward(ctx: Any, inputs: Tensor, network: Network) -> Tensor:
+        change, saved = network.evaluate_saving(inputs)
+        ctx.network, ctx.saved = network, saved
+        return change
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, Tensor, None]:
-        S = gradients[0].shape[-1]
-        inputs = ctx.network.pull_back(gradients[0].contiguous(), ctx.saved)
-        state = gradients[0] + inputs[..., :S] if ctx.needs_input_grad[0] else None
-        if state is not None and ctx.shared:
-            state = state.sum(1, keepdim=True)
-        return state, inputs[..., S:].sum(0), None
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
+        return ctx.network.pull_back(gradients[0].contiguous(), ctx.saved), None

@@ -73,9 +73,7 @@ class Solver:
     def prepare(self, payload: bytes) -> Prepared:
         """Check a snapshot and fold it for planning. Raises SnapshotRefused or ValueError."""
         snapshot = Snapshot.from_bytes(payload)
-        task = self._task
-        quaternions = [group.slice for group in task.groups if group.kind == "quaternion"]
-        dynamics = snapshot.dynamics(task.name, task.state_dim, task.action_dim, quaternions)
+        dynamics = snapshot.dynamics(self._task)
         pool = snapshot.masks if snapshot.meta.model.dropout > 0 else None
         config = self._config
         sampled = config.propagation == "sampled"

@@ -181,7 +181,7 @@ class Textbook:
 
     def __init__(self, snapshot: Snapshot, steps: int):
         config = PlannerConfig.model_validate(SECTIONS["planner"]["planner"])
-        dynamics = snapshot.dynamics("reach", TASK.state_dim, A, [])
+        dynamics = snapshot.dynamics(TASK)
         self.mpc = Mpc(config, TASK)
         self.mpc.set_model(particles(dynamics, snapshot.masks, config.members, config.masks, sampled=False))
         self.plant = ShadowHandPlant("reach")

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from common.model.config import ModelConfig
+from common.model.coordinates import RawCoordinates
 from common.model.dynamics import Dynamics
 from common.model.normaliser import Normaliser
 
@@ -12,10 +13,8 @@ S, A, QUATERNION = 6, 2, slice(2, 6)
 
 def normaliser():
     return Normaliser(
-        state_mean=torch.arange(6.0),
-        state_std=torch.arange(1.0, 7.0),
-        action_mean=torch.tensor([0.5, -0.5]),
-        action_std=torch.tensor([2.0, 4.0]),
+        input_mean=torch.tensor([*range(6), 0.5, -0.5]),
+        input_std=torch.tensor([*range(1, 7), 2.0, 4.0]),
         delta_mean=torch.full((6,), 0.1),
         delta_std=torch.arange(1.0, 7.0) / 10,
     )
@@ -23,7 +22,8 @@ def normaliser():
 
 def model(targets="raw", quaternions=(QUATERNION,)):
     config = ModelConfig(members=2, hidden=(16,), targets=targets)
-    return Dynamics.create(config, normaliser(), quaternions, torch.Generator().manual_seed(0))
+    coordinates = RawCoordinates(S, A, quaternions)
+    return Dynamics.create(config, normaliser(), coordinates, torch.Generator().manual_seed(0))
 
 
 def inputs():
@@ -35,8 +35,7 @@ def inputs():
 def test_encoding_is_equation_3():
     state, action = inputs()
     x = model().encode(state, action)
-    expected = torch.cat(((state - normaliser().state_mean) / normaliser().state_std,
-                          (action - normaliser().action_mean) / normaliser().action_std), -1)  # fmt: skip
+    expected = (torch.cat((state, action), -1) - normaliser().input_mean) / normaliser().input_std
     torch.testing.assert_close(x, expected)
 
 
@@ -70,7 +69,7 @@ def test_predicted_quaternions_have_norm_one_and_the_rest_is_untouched():
 
 def test_a_zero_quaternion_gives_finite_values_and_gradients():
     state = torch.zeros(1, 1, S, requires_grad=True)
-    result = model().renormalise(state)
+    result = model().coordinates.moved(state, torch.zeros(S))
     result.sum().backward()
     assert torch.equal(result, torch.zeros(1, 1, S))
     assert torch.isfinite(state.grad).all()
@@ -90,7 +89,7 @@ def test_gradient_of_the_action_matches_finite_differences(targets):
     dynamics.ensemble.double()
     doubles = {name: tensor.double() for name, tensor in dynamics.normaliser.tensors().items()}
     exact = Dynamics(
-        dynamics.ensemble, Normaliser(**doubles), dynamics.quaternions, dynamics.standardised_targets
+        dynamics.ensemble, Normaliser(**doubles), dynamics.coordinates, dynamics.standardised_targets
     )
     wanted = action.double().requires_grad_()
 

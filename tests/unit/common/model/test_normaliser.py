@@ -11,7 +11,6 @@ def episodes():
     return [
         (
             (rng.normal(size=(n, 3)) * [1e-4, 1.0, 50.0] + [5.0, 0.0, -200.0]).astype(np.float32),
-            rng.uniform(-1, 1, (n, 2)).astype(np.float32),
             rng.normal(size=(n, 3)).astype(np.float32),
         )
         for n in (50, 7, 120)
@@ -19,7 +18,7 @@ def episodes():
 
 
 def test_incremental_statistics_equal_those_of_all_rows():
-    moments = RunningMoments(3, 2)
+    moments = RunningMoments(3, 3)
     for episode in episodes():
         moments.update(*episode)
     columns = [np.concatenate(part).astype(np.float64) for part in zip(*episodes(), strict=True)]
@@ -32,21 +31,20 @@ def test_incremental_statistics_equal_those_of_all_rows():
 
 def test_constant_dimension_has_deviation_one():
     states = np.full((40, 3), 0.1, np.float32)
-    moments = RunningMoments(3, 2)
+    moments = RunningMoments(3, 3)
     for _ in range(3):
-        moments.update(states, np.zeros((40, 2), np.float32), np.zeros((40, 3), np.float32))
+        moments.update(states, np.zeros((40, 3), np.float32))
     normaliser = moments.normaliser()
-    assert torch.equal(normaliser.state_std, torch.ones(3))
-    assert torch.equal(normaliser.state(torch.full((3,), 0.1)), torch.zeros(3))
+    assert torch.equal(normaliser.input_std, torch.ones(3))
+    assert torch.equal(normaliser.standardised(torch.full((3,), 0.1)), torch.zeros(3))
 
 
 def test_identity_changes_nothing():
-    normaliser = Normaliser.identity(3, 2)
-    state, action = torch.randn(4, 3), torch.randn(4, 2)
-    assert torch.equal(normaliser.state(state), state)
-    assert torch.equal(normaliser.action(action), action)
+    normaliser = Normaliser.identity(3, 3)
+    inputs = torch.randn(4, 3)
+    assert torch.equal(normaliser.standardised(inputs), inputs)
 
 
 def test_nothing_seen_is_the_identity():
-    found, identity = RunningMoments(3, 2).normaliser().tensors(), Normaliser.identity(3, 2).tensors()
+    found, identity = RunningMoments(3, 3).normaliser().tensors(), Normaliser.identity(3, 3).tensors()
     assert all(torch.equal(found[name], identity[name]) for name in identity)

@@ -1,6 +1,7 @@
 """A snapshot survives the journey exactly, or is refused with one line."""
 
 import json
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
@@ -8,21 +9,39 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.model.config import ModelConfig
+from common.model.coordinates import RawCoordinates
 from common.model.dynamics import Dynamics
 from common.model.masks import MaskPool
 from common.model.normaliser import Normaliser
 from common.model.sealed import seal, unseal
 from common.model.snapshot import Snapshot, SnapshotMeta, SnapshotRefused
+from common.task.layout import Group
 
 S, A = 5, 2
+RAW = RawCoordinates(S, A, (slice(1, 5),))
 MODEL = ModelConfig(members=2, hidden=(8, 6), plan_masks=3)
+
+
+@dataclass(frozen=True)
+class Toy:
+    name: str = "toy"
+    state_dim: int = S
+    action_dim: int = A
+    groups: tuple[Group, ...] = (
+        Group("number", 0, 1, "m", -9, 9),
+        Group("rotation", 1, 5, "1", 0, 9, "quaternion"),
+    )
+
+
+TOY = Toy()
 
 
 def make(seed=0, **meta):
     generator = torch.Generator().manual_seed(seed)
-    dynamics = Dynamics.create(MODEL, Normaliser.identity(S, A), [slice(1, 5)], generator)
+    dynamics = Dynamics.create(MODEL, Normaliser.identity(S + A, S), RAW, generator)
     masks = MaskPool.draw(2, 3, MODEL.hidden, 0.05, generator)
-    given = {"task": "toy", "state_dim": S, "action_dim": A, "counter": 4, "episodes": 9, "model": MODEL}
+    given = {"task": "toy", "state_dim": S, "action_dim": A, "inputs": S + A, "changes": S}
+    given |= {"counter": 4, "episodes": 9, "model": MODEL}
     return Snapshot.of(dynamics, masks, SnapshotMeta(**(given | meta)))
 
 
@@ -61,8 +80,8 @@ def test_equal_content_gives_equal_bytes_and_other_content_another_id():
 
 def test_the_model_read_back_predicts_the_same():
     generator = torch.Generator().manual_seed(0)
-    dynamics = Dynamics.create(MODEL, Normaliser.identity(S, A), [slice(1, 5)], generator)
-    read = Snapshot.from_bytes(PAYLOAD).dynamics("toy", S, A, [slice(1, 5)])
+    dynamics = Dynamics.create(MODEL, Normaliser.identity(S + A, S), RAW, generator)
+    read = Snapshot.from_bytes(PAYLOAD).dynamics(TOY)
     state, action = torch.randn(2, 3, S), torch.randn(2, 3, A)
     assert torch.equal(read.predict(state, action)[0], dynamics.predict(state, action)[0])
     assert not any(parameter.requires_grad for parameter in read.ensemble.parameters())
@@ -70,7 +89,7 @@ def test_the_model_read_back_predicts_the_same():
 
 def test_a_snapshot_is_a_copy():
     generator = torch.Generator().manual_seed(0)
-    dynamics = Dynamics.create(MODEL, Normaliser.identity(S, A), [], generator)
+    dynamics = Dynamics.create(MODEL, Normaliser.identity(S + A, S), RAW, generator)
     masks = MaskPool.draw(2, 3, MODEL.hidden, 0.05, generator)
     snapshot = Snapshot.of(dynamics, masks, make().meta)
     before = snapshot.weights[0].clone()
@@ -81,7 +100,7 @@ def test_a_snapshot_is_a_copy():
 
 def test_another_task_is_refused():
     with pytest.raises(SnapshotRefused, match=r"made for task, S, A = \(toy, 5, 2\), not \(toy, 5, 3\)"):
-        make().dynamics("toy", S, A + 1, [])
+        make().dynamics(replace(TOY, action_dim=A + 1))
 
 
 def test_a_changed_weight_is_refused():
@@ -98,9 +117,9 @@ def test_a_changed_weight_is_refused():
         (lambda t, m: t.update({"bias.1": torch.zeros(2, 6)}), "bias.1 has shape (2, 6), not (2, 1, 6)"),
         (lambda t, m: t.update({"bias.1": torch.zeros(2, 1, 6).double()}), "bias.1 is torch.float64"),
         (lambda t, m: t["weight.0"].fill_(float("nan")), "weight.0 is not finite"),
-        (lambda t, m: t["normaliser.state_std"].zero_(), "normaliser.state_std is not positive"),
-        (lambda t, m: m.update(version=2), "version 2; this program reads 1"),
-        (lambda t, m: m.update(state_dim=6), "max_log_var has shape (5,), not (6,)"),
+        (lambda t, m: t["normaliser.input_std"].zero_(), "normaliser.input_std is not positive"),
+        (lambda t, m: m.update(version=1), "version 1; this program reads 2"),
+        (lambda t, m: m.update(changes=6), "max_log_var has shape (5,), not (6,)"),
         (lambda t, m: m.pop("task"), "metadata: task: missing"),
         (lambda t, m: m["model"].update(members=0), "metadata: model.members: greater_than_equal"),
     ],

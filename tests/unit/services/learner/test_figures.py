@@ -80,4 +80,4 @@ def test_the_process_aligns_the_quaternions_of_its_task(tmp_path):
         service = build(LearnerProcess.model_validate(data), 33).service
         parts = tuple(group.slice for group in get_task(name).groups if group.kind == "quaternion")
         assert len(parts) == expected
-        assert service._worker._store.replay._quaternions == parts
+        assert service._worker._store.replay._coordinates.quaternions == parts

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from common.model.config import ModelConfig
+from common.model.coordinates import RawCoordinates
 from common.model.dynamics import Dynamics
 from common.model.masks import MaskPool
 from common.model.normaliser import Normaliser
@@ -37,9 +38,9 @@ class Case:
         def rand(*shape):
             return torch.randn(shape, generator=generator)
 
-        normaliser = Normaliser(rand(S), rand(S).exp(), rand(A), rand(A).exp(), rand(S), rand(S).exp())
+        normaliser = Normaliser(rand(S + A), rand(S + A).exp(), rand(S), rand(S).exp())
         config = MODEL.model_copy(update={"targets": targets})
-        self.dynamics = Dynamics.create(config, normaliser, [], generator)
+        self.dynamics = Dynamics.create(config, normaliser, RawCoordinates(S, A), generator)
         with torch.no_grad():
             for bias in self.dynamics.ensemble.biases:
                 bias.copy_(rand(*bias.shape))
@@ -51,12 +52,7 @@ class Case:
         """Mean and log-variance (S,) of one row of one member."""
         stats = {k: v.double().numpy() for k, v in self.dynamics.normaliser.tensors().items()}
         ensemble = self.dynamics.ensemble
-        h = np.concatenate(
-            (
-                (state - stats["state_mean"]) / stats["state_std"],
-                (action - stats["action_mean"]) / stats["action_std"],
-            )
-        )
+        h = (np.concatenate((state, action)) - stats["input_mean"]) / stats["input_std"]
         for layer in range(2):
             z = self.layer(ensemble, layer, b, h)
             h = z * sigmoid(z) * masks[layer][b, n].double().numpy()
@@ -165,7 +161,7 @@ def test_written_out_gradient_equals_autograd(masked, second_step):
     plain = case.dynamics.ensemble
     loss_terms(case.dynamics, case.windows, masks, options).total.backward()
     ensemble = TrainedEnsemble.like(plain)
-    dynamics = Dynamics(ensemble, case.dynamics.normaliser, (), True)
+    dynamics = Dynamics(ensemble, case.dynamics.normaliser, case.dynamics.coordinates, True)
     for _ in range(2):  # the second time, the gradients of the first must be gone
         ensemble.start_gradient()
         loss_terms(dynamics, case.windows, masks, options).total.backward()

@@ -6,6 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from common.model.coordinates import RawCoordinates
 from services.learner.episode import Episode
 from services.learner.replay import Replay, is_held_out
 
@@ -108,7 +109,7 @@ def test_rows_survive_growth_and_are_float32():
 def test_normaliser_sees_the_valid_training_rows_only():
     replay = filled([[True, True, False, True], [True] * 4])
     normaliser = replay.normaliser()
-    assert float(normaliser.state_mean[1]) == pytest.approx((0 + 1 + 3 + 0 + 1 + 2 + 3) / 7)
+    assert float(normaliser.input_mean[1]) == pytest.approx((0 + 0 + 1 + 2) / 4)  # of states that were left
     assert float(normaliser.delta_mean[1]) == 1.0
     assert float(normaliser.delta_std[1]) == 1.0  # constant: counts as 1
 
@@ -123,7 +124,7 @@ def turning(flip_from=None):
 
 
 def deltas_of(episode, quaternions):
-    replay = Replay(5, 1, 0.0, quaternions)
+    replay = Replay(5, 1, 0.0, RawCoordinates(5, 1, quaternions))
     replay.add(episode)
     return replay.normaliser()
 

@@ -1,5 +1,6 @@
 """Training finds a known system with honest deviations, repeats itself, and resumes to the bit."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -8,9 +9,12 @@ import torch
 
 from common.model.config import ModelConfig
 from common.model.ensemble import Ensemble
-from common.model.snapshot import Snapshot
+from common.model.snapshot import Snapshot, SnapshotRefused
+from common.task import get_task
 from services.learner.config import LearnerConfig, LossConfig
+from services.learner.episode import Episode
 from services.learner.loss import loss_terms
+from services.learner.replay import Replay
 from services.learner.trainer import Trainer, TrainerStateRefused
 from tests.unit.services.learner.toy import (
     A_MATRIX,
@@ -126,18 +130,18 @@ def test_the_normaliser_follows_the_data_or_stays_frozen():
     def means(refit):
         made = trainer(CONFIG.model_copy(update={"normaliser_refit": refit}))
         made.begin(linear_replay(2), 1)
-        first = made.dynamics.normaliser.state_mean.clone()
+        first = made.dynamics.normaliser.input_mean.clone()
         made.begin(linear_replay(9), 1)
-        return first, made.dynamics.normaliser.state_mean
+        return first, made.dynamics.normaliser.input_mean
 
     assert not torch.equal(*means("each_update"))
     assert torch.equal(*means("after_warmup"))
-    assert torch.equal(means("each_update")[1], linear_replay(9).normaliser().state_mean)
+    assert torch.equal(means("each_update")[1], linear_replay(9).normaliser().input_mean)
 
 
 def test_without_normalisation_inputs_stay_raw():
     made = trained(updates=1, model=SMALL.model_copy(update={"normalise": False}))
-    assert torch.equal(made.dynamics.normaliser.state_std, torch.ones(3))
+    assert torch.equal(made.dynamics.normaliser.input_std, torch.ones(5))
 
 
 def test_no_data_means_nothing_to_do():
@@ -216,7 +220,7 @@ def test_training_and_planning_masks_come_from_different_pools():
 
 def test_the_snapshot_predicts_what_the_trainer_predicts():
     made = trained(updates=5)
-    read = Snapshot.from_bytes(made.snapshot(3).to_bytes()).dynamics("toy", 3, 2, [])
+    read = Snapshot.from_bytes(made.snapshot(3).to_bytes()).dynamics(Layout())
     state, action = torch.randn(2, 4, 3), torch.randn(2, 4, 2)
     torch.testing.assert_close(
         read.predict(state, action).next_state_mean, made.dynamics.predict(state, action).next_state_mean
@@ -234,3 +238,29 @@ def test_configuration_that_does_not_fit_is_refused():
 def test_defaults_are_the_papers():
     assert (ModelConfig().members, ModelConfig().hidden) == (5, (512, 512, 512))
     assert LossConfig().variance_penalty == 30.0
+
+
+def test_object_coordinates_learn_and_weigh_their_own_numbers():
+    task = get_task("egg_rotate")
+    model = SMALL.model_copy(update={"coordinates": "contact", "targets": "standardised"})
+    loss = QUIET.model_copy(update={"group_weights": {"object_rotation": 3.0}})
+    made = Trainer(CONFIG.model_copy(update={"loss": loss}), model, task, 0)
+    replay = Replay(task.state_dim, task.action_dim, 0.4, made.dynamics.coordinates)
+    draw = np.random.default_rng(0)
+    for number in range(3):
+        states = draw.normal(0.0, 0.1, (21, 61)).astype(np.float32)
+        states[:, 54:57] += (1.0, 0.87, 0.17)
+        states[:, 57] = 1.0
+        actions = draw.uniform(-1, 1, (20, 20)).astype(np.float32)
+        replay.add(Episode(1, number, "random", states, actions, np.zeros(7, np.float32), np.ones(21, bool)))
+    made.begin(replay, 2)
+    assert math.isfinite(made.train_slice(replay, 2).loss["first_step"])
+    found = made.evaluate_holdout(replay)
+    assert found.errors.keys() == {f"{group.name}_h{h}" for group in task.groups for h in (1, 5, 10)}
+    assert all(map(math.isfinite, (*found.errors.values(), *found.calibration.values())))
+    assert made._weights.tolist() == [1.0] * 57 + [3.0] * 3
+    assert made.dynamics.normaliser.input_mean.shape == (made.dynamics.coordinates.inputs,)
+    read = Snapshot.from_bytes(made.snapshot(0).to_bytes()).dynamics(task)
+    assert read.coordinates.inputs == made.dynamics.coordinates.inputs
+    with pytest.raises(SnapshotRefused, match="made for task"):
+        Snapshot.from_bytes(made.snapshot(0).to_bytes()).dynamics(get_task("block"))

@@ -5,27 +5,30 @@ from __future__ import annotations
 import pytest
 import torch
 
+from common.model.choose import coordinates_of
 from common.model.config import ModelConfig
+from common.model.coordinates import RawCoordinates
 from common.model.dynamics import Dynamics
 from common.model.masks import MaskPool
 from common.model.normaliser import Normaliser
+from common.task import get_task
 from services.planner.particles import particles
 from tests.unit.services.planner.models import seeded
 
 S, A, B, M, N = 9, 4, 3, 2, 5
 HIDDEN = (32, 24, 16)
 QUATERNION = slice(5, 9)
+RAW = RawCoordinates(S, A, (QUATERNION,))
 
 
 def dynamics(targets: str = "standardised") -> Dynamics:
     g = seeded()
     normaliser = Normaliser(
-        *(torch.randn(S, generator=g), 0.1 + torch.rand(S, generator=g)),
-        *(torch.randn(A, generator=g), 0.1 + torch.rand(A, generator=g)),
+        *(torch.randn(S + A, generator=g), 0.1 + torch.rand(S + A, generator=g)),
         *(0.1 * torch.randn(S, generator=g), 0.1 + torch.rand(S, generator=g)),
     )
     config = ModelConfig(members=B, hidden=HIDDEN, targets=targets)
-    return Dynamics.create(config, normaliser, [QUATERNION], g)
+    return Dynamics.create(config, normaliser, RAW, g)
 
 
 def pool() -> MaskPool:
@@ -101,13 +104,13 @@ def particles_of(model: Dynamics) -> Dynamics:
 def dynamics_of_members(members: int) -> Dynamics:
     small = dynamics()
     config = ModelConfig(members=members, hidden=HIDDEN, targets="standardised")
-    return Dynamics.create(config, small.normaliser, [QUATERNION], seeded())
+    return Dynamics.create(config, small.normaliser, RAW, seeded())
 
 
 def test_sampled_steps_have_the_predicted_spread():
     # Without a quaternion, so that renormalising does not change the spread.
     base = dynamics()
-    model = Dynamics(base.ensemble, base.normaliser, (), base.standardised_targets)
+    model = Dynamics(base.ensemble, base.normaliser, RawCoordinates(S, A), base.standardised_targets)
     state, action = states(1), torch.zeros(20000, A)
     with torch.no_grad():
         drawn = particles(model, pool(), B, M, sampled=True).step(state, action, seeded(5))
@@ -123,3 +126,25 @@ def test_what_cannot_be_built_is_refused():
         particles(dynamics(), pool(), B, 5)
     with pytest.raises(ValueError, match="variance head"):
         particles(dynamics(), None, B, 1).step(states(1)[:B], torch.zeros(2, A), seeded())
+
+
+@pytest.mark.parametrize("rows", [1, 4], ids=["shared state", "states apart"])
+def test_steps_and_gradients_in_object_coordinates_equal_the_model(rows):
+    task, g = get_task("egg_rotate"), seeded()
+    coordinates = coordinates_of("contact", task)
+    widths = (coordinates.inputs, coordinates.changes)
+    statistics = (part for n in widths for part in (0.1 * torch.randn(n, generator=g), 1 + torch.rand(n)))
+    config = ModelConfig(members=B, hidden=HIDDEN, targets="standardised")
+    model = Dynamics.create(config, Normaliser(*statistics), coordinates, g)
+    state = 0.1 * torch.randn(B, rows, task.state_dim, generator=g)
+    state[..., 54:] += torch.tensor([1.0, 0.87, 0.17, 1.0, 0.0, 0.0, 0.0])
+    action = torch.rand(4, task.action_dim, generator=g)
+    fast = particles(model, None, B, 1).step
+    leaves = state.requires_grad_(), action.requires_grad_()
+    results = fast(*leaves), model.predict(state.expand(-1, 4, -1), action.expand(B, -1, -1)).next_state_mean
+    torch.testing.assert_close(*results, atol=2e-4, rtol=1e-4)
+    with torch.no_grad():
+        torch.testing.assert_close(fast(state, action), results[0], atol=1e-5, rtol=1e-5)
+    gradients = [torch.autograd.grad(result.square().sum(), leaves) for result in results]
+    for ours, autograds in zip(*gradients, strict=True):
+        torch.testing.assert_close(ours, autograds, atol=2e-2, rtol=1e-3)
