@@ -18,8 +18,9 @@ from deploy.curve import CURVE_FILE, EPISODES_FILE, draw, read_episodes
 from deploy.launch import OPERATOR, Launch, LaunchError, orphans
 from deploy.monitor import Heard, Monitor
 from deploy.processes import WATCHDOG
-from deploy.progress import Display, figures, summarise
+from deploy.progress import Display, figures
 from deploy.status import restarts, rows, table, tallies
+from deploy.summary import summarise
 from deploy.supervisor_client import ProcessInfo, SupervisorError
 
 ROUTER_PATIENCE_S = 30.0
@@ -74,18 +75,19 @@ class Operator:
     def run(self) -> int:
         """Start, show progress until the curriculum is done, stop, summarise."""
         self._catch_signals()
+        heard: dict[str, Heard] = {}
         with Display(f"{self._cell.cell} · {self._cell.task}") as display:
             try:
                 monitor = self._start(display)
                 if monitor:
-                    self._watch(monitor, display)
+                    heard = self._watch(monitor, display)
             finally:
                 if self._launch.started:  # and not refused because of another run in the same place
                     display.say("stopping")
                     self._launch.stop()
         if not self._signal:  # who interrupts does not want to wait for a drawing
             draw(read_episodes(self._cell.run_dir / EPISODES_FILE), self._cell.run_dir / CURVE_FILE)
-        summarise(self._cell, print)
+        summarise(self._cell, heard, print)
         if self._signal:
             print("stopped before the end; the same command goes on from here")
         return INTERRUPTED + self._signal if self._signal else 0
@@ -176,15 +178,20 @@ class Operator:
             display.say(f"dashboard: http://{self._cell.viewer.bind}:{self._cell.viewer.web_port}")
         return monitor
 
-    def _watch(self, monitor: Monitor, display: Display) -> None:
-        """Show progress until the run is done or a signal arrives. Raises LaunchError if a process fails."""
+    def _watch(self, monitor: Monitor, display: Display) -> dict[str, Heard]:
+        """Show progress until the run is done or a signal arrives; what was heard last.
+
+        Raises LaunchError if a process fails.
+        """
+        heard: dict[str, Heard] = {}
         while not self._stop.wait(SHOW_EVERY_S):
             heard = monitor.poll()
             infos = self._launch.client.processes()
             display.show(figures(heard, monitor.metrics))
             if is_done(heard, infos):
-                return
+                break
             self._launch.check(infos, display.say)
+        return heard
 
     def _listen(self) -> dict[str, Heard]:
         """Hear every process that works; nothing when there is no router."""

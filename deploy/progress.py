@@ -1,33 +1,20 @@
-"""What `run` shows while a cell learns, and its summary at the end."""
+"""What `run` shows while a cell learns."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
 from common.messages import Metrics
-from deploy.cell import Cell
-from deploy.curve import (
-    CURVE_FILE,
-    EPISODES_FILE,
-    error_keys,
-    in_people_units,
-    mean,
-    read_episodes,
-    success_keys,
-)
 from deploy.monitor import Heard
 
 LINE_EVERY_S = 15.0  # without a terminal, even when no episode ended
-LAST = 10  # episodes that the summary averages
 MISSING = "–"
-FILES = {"checkpoint": "learner/checkpoint.safetensors", "recording": "*.rrd", "learning curve": CURVE_FILE}
 Fields = Mapping[str, float]
 
 
@@ -115,44 +102,3 @@ class Display:
         for name, value in shown.items():
             table.add_row(name, value)
         return table
-
-
-def summarise(cell: Cell, say: Callable[[str], None]) -> None:
-    """Print what the run has reached and where its files are."""
-    for line in summary(cell.run_dir):
-        say(line)
-    for name, pattern in FILES.items():
-        say(f"{name:15}{newest(cell.run_dir, pattern) or 'none yet'}")
-
-
-def summary(run_dir: Path) -> list[str]:
-    """Lay out the means over the last episodes, a column per mode."""
-    episodes = read_episodes(run_dir / EPISODES_FILE)
-    modes = list(dict.fromkeys(str(row["mode"]) for row in episodes))
-    columns = [[row for row in episodes if row["mode"] == mode] for mode in modes]
-    lines = [
-        _line(f"mean of the last {LAST}", modes),
-        _line("episodes", [str(len(column)) for column in columns]),
-    ]
-    for key in ("return", *error_keys(episodes), *success_keys(episodes)):
-        lines.append(_line(_label(key), [_figure(key, mean(key, column[-LAST:])) for column in columns]))
-    return lines if episodes else ["no episode was finished"]
-
-
-def _line(label: str, values: list[str]) -> str:
-    return "".join((f"{label:24}", *(f"{value:>10}" for value in values)))
-
-
-def _label(key: str) -> str:
-    return in_people_units(key, 0.0)[0] if key.startswith("error_") else key.replace("_", " ")
-
-
-def _figure(key: str, value: float | None) -> str:
-    if value is None:
-        return MISSING
-    return f"{value:.0%}" if key.startswith("success_") else f"{value:.3g}"
-
-
-def newest(directory: Path, pattern: str) -> Path | None:
-    """Return the file that was written last."""
-    return max(directory.glob(pattern), key=lambda path: path.stat().st_mtime, default=None)

@@ -1,10 +1,14 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from deploy.curve import draw, in_people_units, mean, read_episodes, running_mean
-from deploy.progress import figures, summary
+from deploy.monitor import Heard
+from deploy.progress import figures
+from deploy.summary import summary, timing
+from tests.unit.deploy.test_status import heard as health
 
 
 def row(episode: int, mode: str, **values: object) -> dict[str, object]:
@@ -53,6 +57,24 @@ def test_summary_tells_modes_apart(tmp_path: Path) -> None:
         ["–", "50%", "100%"],
     ]
     assert summary(tmp_path / "empty") == ["no episode was finished"]
+
+
+def test_timing_counts_all_sessions_and_quotes_the_services() -> None:
+    rows = [{"planned": 50, "late": 1, "held": 0}, {"planned": 150, "late": 2, "held": 1}, {"planned": 0}]
+    heard = {
+        name: Heard(replace(health(name).health, fields=fields), 0.1, 1)
+        for name, fields in [
+            ("sim", {"missed_ticks": 0.0}),
+            ("planner", {"plan_ms_p50": 14.6, "plan_ms_p99": 30.0}),
+            ("learner", {"updates": 1300.0, "updates_per_s": 7.94}),
+        ]
+    }
+    assert timing(rows, heard) == [
+        "planned steps  200: 3 late (1.5%), 1 held (0.5%), 0 missed ticks; plans 15 ms p50, 30 p99",
+        "training       1300 updates, 7.9 a second",
+    ]
+    assert timing(rows, {}) == ["planned steps  200: 3 late (1.5%), 1 held (0.5%)"]
+    assert timing([], heard) == []
 
 
 def test_curve_is_drawn_once_something_was_planned(tmp_path: Path) -> None:
