@@ -18,6 +18,7 @@ from services.sim.camera import Optics
 
 cv2: Any = compiled_cv2  # its stubs do not know which type an array keeps
 Float32 = NDArray[np.float32]
+_EDGE_PX = 1.0  # disparity between neighbours: more than on any surface that is not grazing
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class DepthSensor:
 
     def measure(self, depth_m: Float32) -> NDArray[np.uint16]:
         """Measured depth (H, W) in units of `unit_m`, 0 where there is none, from true depth (H, W) m."""
-        true = cv2.resize(depth_m, self._size, interpolation=cv2.INTER_NEAREST)
+        true = cv2.resize(depth_m, self._size, interpolation=cv2.INTER_NEAREST_EXACT)
         disparity = np.divide(self._scale, true, out=np.zeros_like(true), where=true > 0)
         lost = self._lost(true, disparity)
         matched = self._matched(disparity) + self._error()
@@ -63,12 +64,14 @@ class DepthSensor:
         depth = self._scale / np.where(lost, 1.0, steps)
         counts = np.where(lost | (depth < self._noise.nearest_m), 0.0, np.rint(depth / self._noise.unit_m))
         small = np.clip(counts, 0, np.iinfo(np.uint16).max).astype(np.uint16)
-        return cv2.resize(small, self._full, interpolation=cv2.INTER_NEAREST)
+        return cv2.resize(small, self._full, interpolation=cv2.INTER_NEAREST_EXACT)
 
     def _matched(self, disparity: Float32) -> Float32:
         """Disparity (h, w) as block matching sees it: nearer surfaces grow, edges are smeared."""
-        grow = 2 * self._noise.fattening_px + 1
-        fat = cv2.dilate(disparity, np.ones((grow, grow), np.uint8)) if grow > 1 else disparity
+        side = 2 * self._noise.fattening_px + 1
+        fat = cv2.dilate(disparity, np.ones((side, side), np.uint8))
+        # At edges only: grown everywhere, a slope would lie nearer than it is.
+        fat = np.where(fat - disparity > _EDGE_PX, fat, disparity)
         smear = self._noise.smear_px
         return cv2.GaussianBlur(fat, (0, 0), smear) if smear > 0 else fat
 

@@ -84,3 +84,15 @@ def test_same_seed_same_noise():
     same = [sensor(DepthNoise(), seed).measure(flat(0.5)) for seed in (1, 1, 2)]
     assert np.array_equal(same[0], same[1])
     assert not np.array_equal(same[0], same[2])
+
+
+@pytest.mark.parametrize("slope", [-1.5, 0.0, 1.0])
+def test_an_oblique_surface_is_where_it_is(slope):
+    """The plane z = 0.45 + slope * x, in metres: what grows and smears edges does not move it."""
+    u = np.arange(OPTICS.width) - OPTICS.centre_px[0]
+    true = np.tile(0.45 / (1 - slope * u / OPTICS.focal_px), (OPTICS.height, 1)).astype(np.float32)
+    columns = slice(260, 380)
+    edges_alone = DepthNoise(disparity_px=0.0, slow_px=0.0, hole_share=0.0)
+    measured = sensor(edges_alone).measure(true)[:, columns] * 1e-3
+    assert measured.all()
+    assert np.mean(measured - true[:, columns]) == pytest.approx(0.0, abs=5e-5)
