@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.perception.board import Board
 from bench.perception.looks import LIGHTINGS
 from bench.perception.sequence import Spec, film
 from common.dice import APPEARANCES
@@ -26,20 +27,15 @@ Float64 = NDArray[np.float64]
 TUNING_SEEDS = (0, 1)
 HELD_OUT_SEEDS = (10, 11, 12)
 LOOKS_SEEDS = (20,)
-HIDDEN = "hidden"  # how the names of sequences with trials of re-acquisition begin
 
-# Every one is made for each seed. A trial: 30 frames free, then 20 hidden; 6 a sequence, 18 a seed.
+# Every one is made for each seed.
 _SUITE = (
-    Spec("open", 0, 200, grip="open", speed_deg_s=130.0),
-    Spec("held_slow", 0, 300, speed_deg_s=70.0),
-    Spec("held_fast", 0, 240, speed_deg_s=175.0),
-    Spec("covered", 0, 150, grip="covered", speed_deg_s=70.0),
-    Spec("far", 0, 150, rate_hz=30.0, distance_m=0.6),
-    Spec("far_fast", 0, 80, rate_hz=30.0, distance_m=0.6, speed_deg_s=175.0),
-)
-_HIDDEN_SUITE = tuple(
-    Spec(f"{HIDDEN}_{part}", 100 * part, 331, grip=grip, hidden_every=50, hidden_frames=20)
-    for part, grip in enumerate(("open", "held", "held"))
+    Spec("open", 0, 150, grip="open", speed_deg_s=130.0),
+    Spec("held_slow", 0, 250, speed_deg_s=70.0),
+    Spec("held_fast", 0, 250, speed_deg_s=175.0),
+    Spec("covered", 0, 120, grip="covered", speed_deg_s=70.0),
+    Spec("far", 0, 120, rate_hz=30.0, distance_m=0.6),
+    Spec("far_fast", 0, 60, rate_hz=30.0, distance_m=0.6, speed_deg_s=175.0),
 )
 
 
@@ -47,19 +43,16 @@ def suite(name: str, seeds: Iterable[int] | None = None) -> list[Spec]:
     """The specs of `tuning`, `held_out` or `looks` (appearances by lightings). Raises KeyError otherwise."""
     if name == "looks":
         return [
-            Spec(f"look_{look}_{light}-{seed}", seed, 60, appearance=look, lighting=light)
+            Spec(f"look_{look}_{light}-{seed}", seed, 50, appearance=look, lighting=light)
             for seed in seeds or LOOKS_SEEDS
             for look in APPEARANCES
             for light in LIGHTINGS
         ]
-    specs, usual = {
-        "tuning": (_SUITE + _HIDDEN_SUITE[1:2], TUNING_SEEDS),
-        "held_out": (_SUITE + _HIDDEN_SUITE, HELD_OUT_SEEDS),
-    }[name]
+    held_out, usual = {"tuning": (False, TUNING_SEEDS), "held_out": (True, HELD_OUT_SEEDS)}[name]
     return [
-        replace(spec, name=f"{spec.name}-{seed}", seed=spec.seed + seed, held_out=name == "held_out")
+        replace(spec, name=f"{spec.name}-{seed}", seed=seed, held_out=held_out)
         for seed in seeds or usual
-        for spec in specs
+        for spec in _SUITE
     ]
 
 
@@ -71,10 +64,13 @@ class Sequence:
     T_camera_die: Float64
     occlusion: Float64
     player: Player
+    board: Board | None = None  # what is held before the camera at times
 
     def frames(self) -> Iterator[Frame]:
         """All frames in order. Raises ValueError where a picture is damaged."""
-        return (self.player.load(line) for line in range(len(self.player)))
+        for line in range(len(self.player)):
+            frame = self.player.load(line)
+            yield frame if self.board is None else self.board.before(frame, line)
 
 
 def make(spec: Spec, root: Path) -> Path:
@@ -100,6 +96,14 @@ def load(folder: Path) -> Sequence:
     spec = Spec(**json.loads((folder / "spec.json").read_text(encoding="ascii")))
     with np.load(folder / "truth.npz") as truth:
         return Sequence(spec, truth["T_camera_die"], truth["occlusion"], Player(folder))
+
+
+def with_trials(sequence: Sequence, phase: int) -> Sequence:
+    """The same sequence with a board before the camera every so often; see `Board`."""
+    board = Board(sequence.spec.distance_m, phase)
+    camera_matrix = sequence.player.load(0).camera_matrix
+    hidden = board.covers(sequence.T_camera_die[:, :3, 3], camera_matrix)
+    return replace(sequence, board=board, occlusion=np.maximum(sequence.occlusion, hidden))
 
 
 def _is_made(spec: Spec, folder: Path) -> bool:

@@ -38,10 +38,8 @@ class FilmSet:
         self._data: Any = mujoco.MjData(self._model)
         self.camera = SceneCamera(self._model, Optics())
 
-    def arrange(
-        self, position: Float64, rotation: Float64, rods: Sequence[Capsule], screen: Float64 | None
-    ) -> None:
-        """Put the die and all rods where they are; `screen` (4, 4) is the pose of a plate that hides it."""
+    def arrange(self, position: Float64, rotation: Float64, rods: Sequence[Capsule]) -> None:
+        """Put the die and all rods where they are."""
         self._data.mocap_pos[0], self._data.mocap_quat[0] = position, rotation
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
@@ -52,9 +50,6 @@ class FilmSet:
             geom = self._add(mujoco.mjtGeom.mjGEOM_CAPSULE, (0, 0, 0), (0, 0, 0), _NO_TURN, self._finger)
             kind = mujoco.mjtGeom.mjGEOM_CAPSULE
             mujoco.mjv_connector(geom, kind, rod.radius, rod.start, rod.end)
-        if screen is not None:
-            half, box = (0.09, 0.09, 0.004), mujoco.mjtGeom.mjGEOM_BOX
-            self._add(box, half, screen[:3, 3], screen[:3, :3].ravel(), self._finger)
 
     def die_alone(self, T_world_camera: Float64) -> NDArray[np.float32]:
         """Depth (H, W), m, of the die as last arranged, with nothing else there."""

@@ -26,9 +26,9 @@ Float64 = NDArray[np.float64]
 EXPOSURE = 0.35  # of the time between frames
 EXPOSURE_SWING = 0.25  # automatic exposure wanders by so much
 _VISIBLE_M = 0.001  # what is nearer than the die by more covers it
-_SLIDE_FRAMES = 3  # the hiding plate comes and goes so fast
 # Drawn twice an exposure, at opposite quarters of a pixel: that smooths edges as well as it blurs motion.
-_EXPOSED = ((-0.25, (0.25, -0.25)), (0.25, (-0.25, 0.25)))
+# Shadows are drawn once: so they are half as dark as those of a single small lamp, and cost half.
+_EXPOSED = ((-0.25, (0.25, -0.25), True), (0.25, (-0.25, 0.25), False))
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,6 @@ class Spec:
     grip: str = "held"
     appearance: str = "white"
     lighting: str = "lab"
-    hidden_frames: int = 0  # hide the die for so many frames ...
-    hidden_every: int = 0  # ... out of so many
 
 
 class Truth(NamedTuple):
@@ -86,8 +84,8 @@ class _Director:
 
     def shoot(self, number: int) -> tuple[Frame, Truth]:
         t_s = number / self._spec.rate_hz
-        colour = self._colour(number, t_s)
-        self._arrange(number, t_s)
+        colour = self._colour(t_s)
+        self._arrange(t_s)
         depth_m = self._set.camera.depth(self._T_world_camera)
         alone = self._set.die_alone(self._T_world_camera)
         visible = (alone > 0) & (depth_m > alone - _VISIBLE_M)
@@ -105,32 +103,16 @@ class _Director:
         position, rotation = self._motion.pose(t_s)
         return np.linalg.inv(self._T_world_camera) @ _matrix(position, rotation)
 
-    def _arrange(self, number: int, t_s: float) -> None:
+    def _arrange(self, t_s: float) -> None:
         position, rotation = self._motion.pose(t_s)
         rods = self._fingers.capsules(t_s, position, rotation)
-        self._set.arrange(position, rotation, rods, self._screen(number))
+        self._set.arrange(position, rotation, rods)
 
-    def _screen(self, number: int) -> Float64 | None:
-        """The pose (4, 4) of the plate that hides the die, half way to the camera; it slides in sideways."""
-        spec = self._spec
-        if not spec.hidden_every:
-            return None
-        # Each period ends with the die hidden for `hidden_frames`, the next one begins with it free.
-        into = number % spec.hidden_every - (spec.hidden_every - spec.hidden_frames)
-        before, after = -into, number % spec.hidden_every + 1
-        away = before if into < 0 else 0
-        if into < 0 and number >= spec.hidden_every:
-            away = min(before, after)
-        if away > _SLIDE_FRAMES:
-            return None
-        pose = self._T_world_camera.copy()
-        pose[:3, 3] = 0.55 * pose[:3, 3] + pose[:3, 0] * 0.16 * away / _SLIDE_FRAMES
-        return pose
-
-    def _colour(self, number: int, t_s: float) -> NDArray[np.uint8]:
+    def _colour(self, t_s: float) -> NDArray[np.uint8]:
         total = np.zeros((480, 640, 3), np.float32)
-        for moment, shift in _EXPOSED:
-            self._arrange(number, t_s + moment * EXPOSURE / self._spec.rate_hz)
+        for moment, shift, shadows in _EXPOSED:
+            self._arrange(t_s + moment * EXPOSURE / self._spec.rate_hz)
+            self._set.camera.cast_shadows(shadows)
             total += self._set.camera.view(self._T_world_camera, shift).colour
         gain = (1.0 + EXPOSURE_SWING * float(self._gain(t_s)[0])) / len(_EXPOSED)
         row, column = self._rng.integers(0, (40, 60))

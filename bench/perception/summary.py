@@ -117,3 +117,15 @@ def _surface(parts: list[tuple[Judged, NDArray[np.bool_]]]) -> dict[str, NDArray
         for name, values in one.surface_errors_mm().items():
             errors[name].append(values[chosen[one.posed]])
     return {name: np.concatenate(values or [np.zeros(0)]) for name, values in errors.items()}
+
+
+def one_line(one: Judged) -> dict[str, Any]:
+    """The least that tells how a sequence went."""
+    return {
+        "occlusion": quantile(one.sequence.occlusion, 0.5),
+        "frames_before_found": int((~one.started).sum()),
+        "within_5deg_3mm": share(one.within[one.started]),
+        "claimed": share(one.claimed[one.started]),
+        "gross_claimed": int((one.claimed & one.gross).sum()),
+        "frame_cpu_ms_median": quantile(np.array(one.answers.frame_cpu_ms), 0.5),
+    }

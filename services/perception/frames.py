@@ -109,11 +109,11 @@ def check_camera_matrix(matrix: Float64) -> None:
         raise ValueError(f"camera_matrix must be (fx 0 cx, 0 fy cy, 0 0 1), got {matrix.tolist()}")
 
 
-def check_order(frame: Frame, before: Frame | None) -> Refused | None:
+def check_order(frame: Frame, before: Frame | None, max_skew_ns: int = MAX_SKEW_NS) -> Refused | None:
     """Refuse colour and depth that do not belong together, and time that does not go on."""
-    if abs(frame.skew_ns) > MAX_SKEW_NS:
+    if abs(frame.skew_ns) > max_skew_ns:
         message = f"frame {frame.frame_number}: colour is {frame.skew_ns / 1e6:+.1f} ms from depth"
-        return Refused(Refusal.SKEW, f"{message}, more than {MAX_SKEW_NS / 1e6:.0f} ms: dropped")
+        return Refused(Refusal.SKEW, f"{message}, more than {max_skew_ns / 1e6:.0f} ms: dropped")
     if (
         before is not None
         and min(frame.colour_time_ns - before.colour_time_ns, frame.depth_time_ns - before.depth_time_ns) <= 0

@@ -64,9 +64,13 @@ class SceneCamera:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         self.scene: Any = mujoco.MjvScene(model, maxgeom=max_geoms)
-        self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
+        self.cast_shadows(shadows)
         self.options: Any = mujoco.MjvOption()
         self._rectangle: Any = mujoco.MjrRect(0, 0, optics.width, optics.height)
+
+    def cast_shadows(self, cast: bool) -> None:
+        """Draw shadows from now on, or not; they are three quarters of the work of a picture."""
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = cast
 
     def update(self, data: Any) -> None:
         """Take over where everything is; geoms may be added to `scene` after this and before `view`."""
