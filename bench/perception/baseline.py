@@ -82,4 +82,4 @@ class PlainIcp:
         depth = frame.depth[v, u] * frame.depth_unit_m
         points = np.stack([(u - cx) / fx * depth, (v - cy) / fy * depth, depth], axis=-1)
         near = (depth > 0) & (np.linalg.norm(points - self._pose[:3, 3], axis=-1) < REACH_M)
-        return points[near]
+        return points[near].astype(np.float64)
