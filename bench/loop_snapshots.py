@@ -86,4 +86,4 @@ def build(config: SnapshotsProcess, boot_id: int) -> Built:
 
 
 if __name__ == "__main__":
-    run_process("snapshots", SnapshotsProcess, build)
+    run_process("snapshots", SnapshotsProcess, build, nice=5)

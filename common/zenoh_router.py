@@ -15,6 +15,9 @@ from common.bus_config import LEASE_MS, BusConfig
 
 REAL_TIME_BATCHES = 16  # the most that Zenoh allows
 WAIT_BEFORE_DROP_US = 10_000  # a quarter of a control step
+# Whatever lies in a socket goes before everything urgent: with the system's buffers of megabytes a state
+# waited up to 40 ms behind a snapshot, with these 5 ms.
+SOCKET_BYTES = 131_072
 QUERY_TIMEOUT_MS = 5000  # bounds how long a late joiner waits for the history of a publisher that froze
 
 # How long one batch of a blocking topic may wait for a link before that link is closed. While the router
@@ -104,6 +107,8 @@ def _common(lease_ms: int, patience_ms: int) -> dict[str, Any]:
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": WAIT_BEFORE_DROP_US,
         # Implicit shared memory leaves files in /dev/shm, and loses queries under load.
         "transport/shared_memory/enabled": False,
+        "transport/link/tcp/so_sndbuf": SOCKET_BYTES,
+        "transport/link/tcp/so_rcvbuf": SOCKET_BYTES,
         "queries_default_timeout": QUERY_TIMEOUT_MS,
     }
 

@@ -4,4 +4,4 @@ from common.process import run_process
 from services.learner.build import LearnerProcess, build
 
 if __name__ == "__main__":
-    run_process("learner", LearnerProcess, build)
+    run_process("learner", LearnerProcess, build, nice=5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -12,12 +13,16 @@ from services.sim.interface import Plant
 
 
 class PlantPort:
-    """Executes each command at once; the frame that it delivers is what the hand shows a step later."""
+    """Executes each command at once; the frame that it delivers is what the hand shows a step later.
+
+    `head_start_s` is how long it waits before the physics, so that what was published just before gets away.
+    """
 
     name = "plant"
 
-    def __init__(self, plant: Plant) -> None:
+    def __init__(self, plant: Plant, head_start_s: float = 0.0) -> None:
         self._plant = plant
+        self._head_start_s = head_start_s
         self._deliver: Callable[[Topic, Message], None] = lambda _topic, _message: None
 
     def open(self, deliver: Callable[[Topic, Message], None]) -> None:
@@ -33,6 +38,7 @@ class PlantPort:
         elif message.goal.size:
             self._plant.set_goal(message.goal)
         if message.action.size:
+            time.sleep(self._head_start_s)
             self._plant.step(message.action)
         self._deliver(PLANT_FRAME, self._frame(message.reset))
 
