@@ -11,7 +11,7 @@ from services.sim.service import SimService
 
 # Live, the bus's threads get the processor to send a state before the physics takes it: Linux lets a thread
 # that woke wait for the one that runs, which made every state 1.4 ms late.
-HEAD_START_S = 0.0005
+HEAD_START_S = 0.001
 
 
 class SimProcess(SharedConfig):
