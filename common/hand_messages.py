@@ -98,6 +98,7 @@ class HandJoints:
     temperature_c: Annotated[Float32, ArraySpec("<f4", (6,), "°C")]
     temperature_valid: Annotated[UInt8, ArraySpec("|u1", (6,), "0 or 1", limit=1)]
     board_age_ms: Annotated[Float32, ArraySpec("<f4", (6,), "ms since a board was heard")]
+    board_rate_hz: Annotated[Float32, ArraySpec("<f4", (6,), "replies a second")]
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import yaml
 from pydantic import Field, model_validator
@@ -19,13 +19,14 @@ from common.model.config import ModelConfig
 from common.task import DieTask, get_die_task, get_task
 from deploy.cell_files import find_cell, read_cell
 from deploy.curriculum_config import CurriculumConfig
-from deploy.processes import NAMES, WATCHDOG, process_of, processes_of
+from deploy.processes import NAMES, WATCHDOG, PlantKind, process_of, processes_of
 from deploy.supervisor import REPOSITORY, RunFiles, check_paths
 from deploy.viewer.config import ViewerConfig
 from deploy.watchdog_config import WatchdogConfig
 from services.hand_io.config import HandIoConfig
 from services.learner.config import LearnerConfig
 from services.planner.config import PlannerConfig
+from services.sim.dexhand_physics import TwinPhysics
 from services.sim.emulator_config import EmulatorConfig
 
 ALL_LOCAL = "local"
@@ -57,7 +58,7 @@ class Cell(SharedConfig):
     curriculum: CurriculumConfig = CurriculumConfig()
     viewer: ViewerConfig = ViewerConfig()
     watchdog: WatchdogConfig = WatchdogConfig()
-    plant: Literal["sim", "twin", "hand"] = Field(
+    plant: PlantKind = Field(
         default="sim",
         description="sim: all in simulation; twin: hand_io drives an emulated hand; hand: a real one",
     )
@@ -65,6 +66,7 @@ class Cell(SharedConfig):
     hand: DexHandConfig = DexHandConfig()
     hand_io: HandIoConfig = HandIoConfig()
     emulator: EmulatorConfig = EmulatorConfig()
+    twin: TwinPhysics = TwinPhysics()
     pose_source: PoseSource = Field(default=PoseSource.TWIN, description="who tells where the die is")
     machines: dict[str, Machine] = Field(default={}, description="empty: everything runs on one machine")
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+PlantKind = Literal["sim", "twin", "hand"]
+
 
 @dataclass(frozen=True)
 class Process:
@@ -14,7 +16,7 @@ class Process:
     module: str
     kind: Literal["bus", "plant", "method", "operator"]
     stop_wave: int  # all of one wave are stopped together, wave 0 first
-    plants: tuple[str, ...] = ()  # runs in cells with one of these plants; empty: in all
+    plants: tuple[PlantKind, ...] = ()  # runs in cells with one of these plants; empty: in all
     sections: tuple[str, ...] = ()  # of the cell, beside those that every process has
     needs: tuple[str, ...] = (
         "router",
@@ -39,14 +41,14 @@ PROCESSES: tuple[Process, ...] = (
         start_deadline_s=30.0,
         warm_up_s=5,
     ),
-    Process("sim", "services.sim", "plant", stop_wave=1, plants=("sim",)),
+    Process("sim", "services.sim", "plant", stop_wave=1, plants=("sim",), sections=("twin",)),
     Process(
         "emulator",
         "services.sim.emulator",
         "plant",
         stop_wave=2,  # after what drives it, as a hand would be there still
         plants=("twin",),
-        sections=("can", "hand", "emulator", "pose_source"),
+        sections=("can", "hand", "emulator", "twin", "pose_source"),
     ),
     Process(
         "hand_io",
@@ -59,7 +61,7 @@ PROCESSES: tuple[Process, ...] = (
     ),
     Process("planner", "services.planner", "method", stop_wave=0, sections=("planner",)),
     Process("learner", "services.learner", "method", stop_wave=0, sections=("model", "learner")),
-    Process("viewer", "deploy.viewer", "operator", stop_wave=2, sections=("viewer",), required=False),
+    Process("viewer", "deploy.viewer", "operator", stop_wave=2, sections=("viewer", "plant"), required=False),
     Process(
         "watchdog",
         "deploy.watchdog",

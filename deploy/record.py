@@ -42,7 +42,8 @@ def to_rrd(run_dir: Path, output: Path) -> Tally:
     tally = Tally()
     recording = Recording(run_dir.name, file_sink(output), BATCH)
     kinematics = SceneKinematics(shared.task)
-    arrange(recording, kinematics, shared, ghost=True)
+    driven = (run_dir / "config" / "hand_io.yaml").exists()
+    arrange(recording, kinematics, shared, ghost=True, driven=driven)
     drawer = Drawer(kinematics, shared.control.period_ns, ghost=True)
     for sample in unique_samples(merged(files), codec_for(shared.task), tally):
         recording.add(drawer.draw(sample))

@@ -19,6 +19,7 @@ from bench.methods import METHODS
 from common.task import TASKS, Task
 from deploy.arguments import USAGE
 from deploy.config_tables import cells, config, presets, sections
+from deploy.confirm_tables import confirm
 from deploy.markdown import Row, code, table
 from deploy.processes import PROCESSES, Process
 from deploy.supervisor import REPOSITORY
@@ -141,7 +142,19 @@ def methods() -> str:
 TABLES: Mapping[str, Callable[[], str]] = types.MappingProxyType(
     {
         each.__name__: each
-        for each in (topics, messages, processes, contracts, usage, commands, presets, cells, tasks, methods)
+        for each in (
+            topics,
+            messages,
+            processes,
+            contracts,
+            usage,
+            commands,
+            presets,
+            cells,
+            tasks,
+            methods,
+            confirm,
+        )
     }
     | {f"config:{name}": lambda model=model: config(model) for name, model in sections().items()}
 )

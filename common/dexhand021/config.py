@@ -65,7 +65,10 @@ class DexHandConfig(Frozen):
 
 @dataclass(frozen=True)
 class Confirm:
-    """One assumption: the option it is in, its default, why that default, how to confirm it."""
+    """One assumption: the option it is in, its default, why that default, how to confirm it.
+
+    Without an option `field` is empty: nothing depends on it but what `default` says.
+    """
 
     field: str
     default: str
@@ -133,5 +136,29 @@ CONFIRM_ON_HARDWARE = (
         "(1.0, 1.0, 2.0)",
         "simulators of the maker disagree (1:1:2 and 1:1:1); the larger is the safer for interference",
         "photograph the spread hand from the palm side",
+    ),
+    Confirm(
+        "",
+        "joints go no further than the narrower of the ranges of SDK and model (common/dexhand021/tables.py)",
+        "they disagree: flexion 90 or 74.5 degrees, rotation 150 or 126, spread 30 or 17.2",
+        "lower the current, command each end in turn, read the angle sensor and look whether it arrives",
+    ),
+    Confirm(
+        "",
+        "error codes are bit flags, and any of them releases the motor; the raw byte is logged",
+        "so in three sources and in the only published capture (stall is 4); the newest SDK reads 3 as stall",
+        "hold a finger back at low current and read the code in `hand/joints`",
+    ),
+    Confirm(
+        "",
+        "warning frames are counted, and nothing else is done about them",
+        "the sources disagree whether code 1 is a Hall sensor's limit or a hot motor",
+        "compare the counter `warnings` with angles and temperatures when it grows",
+    ),
+    Confirm(
+        "",
+        "a start-up frame means that its board has restarted, whatever is in it: what runs is ended",
+        "the layout of its payload is not public",
+        "switch the hand on while `candump -x` runs; it must be one such frame a board",
     ),
 )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.messages import Chunk, Fallback, Float32, Header, Step
-from common.task import ReachTask
+from common.task import DieTask, ReachTask
 from deploy.viewer.curves import (
     BAND_DEVIATIONS,
     FINGER_RGB,
@@ -87,7 +87,8 @@ class ControlDrawer:
             return
         self._episode = _Episode(key, header.t_ns, goal_seq=message.goal_seq)
         yield Drawing("state/mode", when, State(message.mode))
-        yield event("plant", when, f"episode {message.episode} begins: {message.mode}")
+        wanted = f", face {self._task.face_of(message.goal)} up" if isinstance(self._task, DieTask) else ""
+        yield event("plant", when, f"episode {message.episode} begins: {message.mode}{wanted}")
 
     def _scene(self, message: Step, when: When) -> Iterator[Drawing]:
         poses = Poses(*self._kinematics.bodies(message.state, message.goal))

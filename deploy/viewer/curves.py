@@ -75,6 +75,15 @@ class Curves:
 
 
 @dataclass(frozen=True)
+class Arrows:
+    """The arrow of one entity, which moves with a body of the scene."""
+
+    path: str
+    body: str
+    colour: Rgb
+
+
+@dataclass(frozen=True)
 class Watched:
     """A state dimension whose prediction is compared with what came; shown as `scale` times its value."""
 

@@ -10,11 +10,13 @@ from pathlib import Path
 
 from common.cell import SharedConfig
 from common.messages import Sample
+from common.task import DieTask
 from deploy.viewer.blueprint import dashboard
 from deploy.viewer.config import ViewerConfig
 from deploy.viewer.control import GHOST
 from deploy.viewer.curves import LANES, curves_of
 from deploy.viewer.drawer import Drawer
+from deploy.viewer.hand_curves import HAND_LANE, force_arrows, hand_curves
 from deploy.viewer.recording import Recording, file_sink, server_sink
 from deploy.viewer.web import WebPage
 from services.sim.kinematics import SceneKinematics
@@ -28,9 +30,10 @@ log = logging.getLogger(__name__)
 class Dashboard:
     """Draws samples to a file, to browsers, or both."""
 
-    def __init__(self, shared: SharedConfig, config: ViewerConfig) -> None:
+    def __init__(self, shared: SharedConfig, config: ViewerConfig, driven: bool = False) -> None:
         self._shared = shared
         self._config = config
+        self._driven = driven  # the hand is one on a bus
         self._lock = threading.Lock()  # `close` comes from another thread than `draw`
         self._drawer: Drawer | None = None
         self._recordings: list[Recording] = []
@@ -47,7 +50,7 @@ class Dashboard:
             kinematics = SceneKinematics(self._shared.task)
             self._begin_recordings()
             for recording in self._recordings:
-                arrange(recording, kinematics, self._shared, self._config.ghost)
+                arrange(recording, kinematics, self._shared, self._config.ghost, self._driven)
             self._drawer = Drawer(kinematics, self._shared.control.period_ns, self._config.ghost)
 
     def _begin_recordings(self) -> None:
@@ -101,17 +104,23 @@ class Dashboard:
         self._drawer, self._page, self._recordings = None, None, []
 
 
-def arrange(recording: Recording, kinematics: SceneKinematics, shared: SharedConfig, ghost: bool) -> None:
+def arrange(
+    recording: Recording, kinematics: SceneKinematics, shared: SharedConfig, ghost: bool, driven: bool
+) -> None:
     """Put facts, layout, legends and meshes into a new recording."""
     facts = {"cell": shared.cell, "task": shared.task, "seed": str(shared.seed)}
     if shared.config_hash:
         facts["config_hash"] = shared.config_hash
     recording.describe(f"{shared.cell} {shared.run_dir.name}", facts)
-    recording.lay_out(dashboard(kinematics.task))
+    recording.lay_out(dashboard(kinematics.task, driven))
     recording.name_curves(curves_of(kinematics.task))
     for path, colours in LANES.items():
         recording.colour_states(path, colours)
     recording.place_scene(kinematics.scene(), GHOST if ghost else "")
+    if isinstance(kinematics.task, DieTask):
+        recording.name_curves(hand_curves())
+        recording.colour_states("state/hand", HAND_LANE)
+        recording.place_arrows(force_arrows())
 
 
 def next_path(run_dir: Path) -> Path:

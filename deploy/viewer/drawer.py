@@ -25,14 +25,16 @@ class Drawer:
         self._steps = StepCounter()
         self._control = ControlDrawer(kinematics, self._steps, period_ns, ghost)
         self._health = HealthDrawer()
-        self._hand = HandDrawer()
+        self._hand = HandDrawer(self._task)
 
     def draw(self, sample: Sample) -> list[Drawing]:
         """What a sample shows; nothing for messages that are not drawn."""
         now = self._steps.now(sample.header.t_ns)
         match sample.message:
             case Step() as step:
-                return self._control.step(sample.header, step)
+                drawings = self._control.step(sample.header, step)
+                shown = self._hand.step(step, self._steps.now(sample.header.t_ns)) if drawings else ()
+                return [*drawings, *shown]
             case Chunk() as chunk:
                 return self._control.chunk(sample.header, chunk)
             case Episode() as episode:

@@ -44,6 +44,14 @@ class Segments:
 
 
 @dataclass(frozen=True)
+class Arrow:
+    """An arrow from `origin` (3,) along `vector` (3,), m, in the frame of the entity."""
+
+    origin: NDArray[np.float64]
+    vector: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class State:
     """What something is from now on, until it is something else."""
 
@@ -58,7 +66,7 @@ class Event:
     level: Level = "INFO"
 
 
-Value = Scalars | Poses | Segments | State | Event
+Value = Scalars | Poses | Segments | Arrow | State | Event
 
 
 @dataclass(frozen=True)

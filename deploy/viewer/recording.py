@@ -11,8 +11,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from deploy.viewer.curves import TO_GOAL, Curves, Rgb
-from deploy.viewer.drawing import Drawing, Event, Poses, Scalars, Segments, State, When
+from deploy.viewer.curves import TO_GOAL, Arrows, Curves, Rgb
+from deploy.viewer.drawing import Arrow, Drawing, Event, Poses, Scalars, Segments, State, When
 from services.sim.scene import Scene, SceneMesh
 
 APPLICATION = "gc-pmpc"
@@ -20,6 +20,7 @@ WORLD = "world"
 GHOST_RGBA = (110, 170, 255, 70)
 POINT_SCALE = 1.3  # a mark's size, for a line's width of one
 SEGMENT_RADIUS_M = 0.0008
+ARROW_RADIUS_M = 0.0018
 
 
 class Recording:
@@ -57,6 +58,12 @@ class Recording:
                     path = f"{WORLD}/ghosts/{body.name}/{number}"
                     frame = rr.CoordinateFrame(ghost_prefix + body.name)
                     self._static(path, _mesh(mesh, GHOST_RGBA), frame)
+
+    def place_arrows(self, arrows: Iterable[Arrows]) -> None:
+        """Tell in which body's frame the arrows of an entity are, and their colour."""
+        for item in arrows:
+            style = rr.Arrows3D.from_fields(radii=[ARROW_RADIUS_M], colors=[item.colour])
+            self._static(item.path, style, rr.CoordinateFrame(item.body))
 
     def name_curves(self, curves: Iterable[Curves]) -> None:
         """Give curves their legends and colours."""
@@ -140,6 +147,11 @@ def _segment_columns(values: list[Segments]) -> tuple[list[int], Any]:
     return [1] * len(values), columns.partition([len(value.points) for value in values])
 
 
+def _arrow_columns(values: list[Arrow]) -> tuple[list[int], Any]:
+    vectors, origins = (np.stack([getattr(v, name) for v in values]) for name in ("vector", "origin"))
+    return [1] * len(values), rr.Arrows3D.columns(vectors=vectors, origins=origins)
+
+
 def _state_columns(values: list[State]) -> tuple[list[int], Any]:
     return [1] * len(values), rr.StateChange.columns(state=[value.label for value in values])
 
@@ -153,6 +165,7 @@ _COLUMNS: dict[type, Callable[[Any], tuple[list[int], Any]]] = {
     Scalars: _scalar_columns,
     Poses: _pose_columns,
     Segments: _segment_columns,
+    Arrow: _arrow_columns,
     State: _state_columns,
     Event: _event_columns,
 }

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from common.can_config import CanConfig
 from common.cell import SharedConfig
 from common.config import Frozen
-from common.dexhand021.config import DexHandConfig
+from common.dexhand021.config import Confirm, DexHandConfig
 from common.dexhand021.tables import MOTORS
 from common.hand_messages import PoseSource
 from services.hand_io.limits_config import LimitsConfig
@@ -40,6 +40,16 @@ class HandIoConfig(Frozen):
     max_clear_s: float = Field(default=4.0, gt=0.0, description="it doubles with each attempt up to this")
     reopen_s: float = Field(default=0.5, gt=0.0, description="pause before a lost bus is opened again")
     max_reopen_s: float = Field(default=5.0, gt=0.0, description="it doubles with each attempt up to this")
+
+
+CONFIRM_ON_HARDWARE = (
+    Confirm(
+        "set_point_hz",
+        "50.0",
+        "the hand's highest rate of commands is not public; 50 to 150 Hz are in use, without BRS 200 fit",
+        "raise it and watch age and rate of the boards on the dashboard: no reply may stay out",
+    ),
+)
 
 
 class HandIoProcess(SharedConfig):

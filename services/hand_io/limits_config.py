@@ -59,6 +59,12 @@ CONFIRM_ON_HARDWARE = (
         "read memory address 0x54 of each board",
     ),
     Confirm(
+        "pause_c",
+        "50.0",
+        "one reading a finger board: whether it is that of the sensor or of the motors' driver is not public",
+        "work one finger until it reads 45 and feel, or film with a thermal camera, what is warm",
+    ),
+    Confirm(
         "clearance_m",
         "0.0053",
         "distance of neighbouring fingers less two radii, from the vendor's model, not from a hand",

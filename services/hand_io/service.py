@@ -255,5 +255,6 @@ class HandIoService:
             temperature_c=frame.temperature_c,
             temperature_valid=frame.temperature_valid,
             board_age_ms=frame.age_ms,
+            board_rate_hz=frame.rate_hz,
         )
         return [Publish(HAND_JOINTS, joints, t_ns=frame.t_ns)]

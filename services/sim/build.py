@@ -5,6 +5,7 @@ from __future__ import annotations
 from common.built import Built
 from common.cell import SharedConfig
 from common.task import get_task
+from services.sim.dexhand_physics import TwinPhysics
 from services.sim.plants import make_plant
 from services.sim.port import PlantPort
 from services.sim.service import SimService
@@ -15,11 +16,13 @@ HEAD_START_S = 0.001
 
 
 class SimProcess(SharedConfig):
-    """What the sim process is started with: physics, substeps and start poses are the plant's own."""
+    """What the sim process is started with: what is not here, such as start poses, is the plant's own."""
+
+    twin: TwinPhysics = TwinPhysics()
 
 
 def build(config: SimProcess, boot_id: int, head_start_s: float = 0.0) -> Built:
     """Make the service and the simulated hand that it drives; `head_start_s` is for `HEAD_START_S`."""
     service = SimService(config, get_task(config.task), boot_id)
-    plant = make_plant(config.task, config.control.rate_hz)
+    plant = make_plant(config.task, config.control.rate_hz, config.twin)
     return Built(service, {"plant": PlantPort(plant, head_start_s)})

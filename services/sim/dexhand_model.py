@@ -6,6 +6,7 @@ the left hand is the right one mirrored in the palm's y.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import mujoco as compiled_mujoco
@@ -43,7 +44,7 @@ def build_model(task: DieTask, assumed: DexHandConfig, physics: TwinPhysics) -> 
     builder.exclude_contacts()
     builder.add_motors()
     builder.couple(passive_ratios(assumed))
-    add_die(spec, task.die)
+    add_die(spec, replace(task.die, mass_kg=physics.die_mass_kg))
     return spec.compile()
 
 

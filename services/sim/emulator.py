@@ -23,7 +23,7 @@ def build(config: EmulatorProcess, boot_id: int) -> Built:
         task = get_die_task(config.task, config.hand.hand)
     except ValueError as error:
         raise ConfigError([str(error)]) from None
-    twin = DexHandTwin(config.hand.hand, config.seed, assumed=config.hand)
+    twin = DexHandTwin(config.hand.hand, config.seed, assumed=config.hand, physics=config.twin)
     port = EmulatorPort(config.can, config.hand, config.emulator, twin, task)
     service = EmulatorService(config, boot_id)
     return Built(service, {"twin": port}, {FAULT_QUERY: port.answer_query})

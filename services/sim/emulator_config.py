@@ -10,8 +10,9 @@ from pydantic import Field, model_validator
 from common.can_config import CanConfig
 from common.cell import SharedConfig
 from common.config import Frozen
-from common.dexhand021.config import DexHandConfig
+from common.dexhand021.config import Confirm, DexHandConfig
 from common.hand_messages import PoseSource
+from services.sim.dexhand_physics import TwinPhysics
 
 
 class FaultKind(StrEnum):
@@ -56,12 +57,29 @@ class EmulatorConfig(Frozen):
     faults: tuple[Fault, ...] = ()
 
 
+CONFIRM_ON_HARDWARE = (
+    Confirm(
+        "firmware",
+        "25418",
+        "the newest SDK's minimum, not enforced; no list of versions is public, and nothing depends on it",
+        "`python -m deploy.doctor can` reads each board's",
+    ),
+    Confirm(
+        "feedback_bytes",
+        "56",
+        "the longest that is documented; see `hand.feedback_bytes`",
+        "`candump -x` shows the length of each board's replies",
+    ),
+)
+
+
 class EmulatorProcess(SharedConfig):
     """What the emulator process is started with."""
 
     can: CanConfig = CanConfig()
     hand: DexHandConfig = DexHandConfig()
     emulator: EmulatorConfig = EmulatorConfig()
+    twin: TwinPhysics = TwinPhysics()
     pose_source: PoseSource = Field(default=PoseSource.TWIN, description="who tells where the die is")
 
     @model_validator(mode="after")

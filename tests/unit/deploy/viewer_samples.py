@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from common.hand_messages import HandJoints
 from common.messages import Chunk, Fallback, Header, Mode, Sample, Step
 from common.task import get_task
 
@@ -63,3 +64,23 @@ def chunk(task_name, first_k, episode=0, seq=0, **changes):
     )
     header = Header(8, seq, START_NS + first_k * PERIOD_NS + 1, True)
     return Sample("control/chunk", header, replace(message, **changes))
+
+
+def joints(seq=0, at_ns=0, **changes):
+    """What hand_io says; motor, board and fingertip i show i in their own unit."""
+    motors, boards = np.arange(12, dtype=np.float32), np.arange(6, dtype=np.float32)
+    message = HandJoints(
+        state="running",
+        faults=(),
+        q_rad=motors / 10,
+        target_rad=motors / 10 + 0.5,
+        current_ma=motors,
+        flags=np.zeros(12, np.uint8),
+        force_n=np.arange(5, dtype=np.float32),
+        force_valid=np.ones(5, np.uint8),
+        temperature_c=30 + boards,
+        temperature_valid=np.ones(6, np.uint8),
+        board_age_ms=boards,
+        board_rate_hz=50 + boards,
+    )
+    return Sample("hand/joints", Header(7, seq, START_NS + at_ns, True), replace(message, **changes))
