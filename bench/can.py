@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import json
 import socket
 import subprocess
@@ -46,20 +47,30 @@ class Measured:
     lost: int = 0
     skipped: int = 0  # cycles that this process began too late to send
     unsent: int = 0
+    cpu_s: float = 0.0  # of sending and reading
+
+
+@dataclass
+class HandProcess:
+    """The emulated hand in a process of its own."""
+
+    cpu_s: float = 0.0  # of answering, known once it has ended
 
 
 @contextlib.contextmanager
-def emulated_hand(port: int) -> Iterator[None]:
+def emulated_hand(port: int) -> Iterator[HandProcess]:
     """Run the emulated hand in a process of its own."""
+    hand = HandProcess()
     command = [sys.executable, "-m", "bench.can_hand", "--port", str(port)]
     child = subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     try:
         assert child.stdout is not None
         if child.stdout.readline().strip() != b"ready":
             raise RuntimeError(f"the emulated hand ended with code {child.wait()}")
-        yield
+        yield hand
     finally:
-        child.communicate()
+        said, _ = child.communicate()
+    hand.cpu_s = float(said)
 
 
 def free_port() -> int:
@@ -75,6 +86,7 @@ def measure(link: CanLink, cycles: int, rate_hz: float) -> Measured:
     target = MotorTarget(True, HOLD_CDEG, hand.speed, hand.current)
     frame = host.encode(BroadcastMotion(hand.hand, hand.control_mode, (target,) * MOTORS))
     found = Measured()
+    began_s = time.process_time()
     ticker = Ticker(round(1e9 / rate_hz), time.monotonic_ns())
     for _ in range(cycles):
         time.sleep(max(0.0, (ticker.next_ns - time.monotonic_ns()) / 1e9))
@@ -90,6 +102,7 @@ def measure(link: CanLink, cycles: int, rate_hz: float) -> Measured:
             found.round_trips_ms.append((time.monotonic() - begin) * 1e3)
         else:
             found.lost += 1
+    found.cpu_s = time.process_time() - began_s
     return found
 
 
@@ -112,7 +125,7 @@ def _answered(link: CanLink, deadline: float) -> bool:
     return False
 
 
-def result(found: Measured, cycles: int, rate_hz: float) -> dict[str, Any]:
+def result(found: Measured, hand: HandProcess, cycles: int, rate_hz: float) -> dict[str, Any]:
     """The figures, what hand_io does about a lost cycle, and where they come from."""
     p50, p99, longest = np.percentile(found.round_trips_ms, (50, 99, 100))
     figures = {
@@ -127,6 +140,8 @@ def result(found: Measured, cycles: int, rate_hz: float) -> dict[str, Any]:
         **figures,
         "skipped_cycles": found.skipped,
         "unsent_cycles": found.unsent,
+        "cpu_ms_per_cycle": round(1e3 * found.cpu_s / cycles, 3),
+        "hand_cpu_ms_per_cycle": round(1e3 * hand.cpu_s / cycles, 3),  # its physics included
         "limits": LIMITS,
         "passed": all(figures[name] <= limit for name, limit in LIMITS.items()),
         "hand_io_after_a_lost_cycle": _what_hand_io_does(HandIoConfig()),
@@ -151,14 +166,15 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true", help="one line, for other programs")
     options = parser.parse_args(argv)
     port = free_port()
-    with emulated_hand(port):
+    gc.freeze()
+    with emulated_hand(port) as hand:
         link = CanLink(CanConfig(interface="udp_multicast", port=port))
         found = measure(link, options.cycles, options.rate_hz)
         link.close()
     if not found.round_trips_ms:
         print("no cycle was answered: does this machine pass multicast?", file=sys.stderr)
         return 1
-    figures = result(found, options.cycles, options.rate_hz)
+    figures = result(found, hand, options.cycles, options.rate_hz)
     print(json.dumps(figures, indent=None if options.json else 2))
     return int(not figures["passed"])
 

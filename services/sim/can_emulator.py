@@ -6,6 +6,7 @@ Letters: 12 motors, 6 boards, 5 fingertips in the order of common.dexhand021.tab
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,8 +98,7 @@ class EmulatedHand:
             case BroadcastMotion():
                 if command.hand is not self._hand.hand:
                     return []
-                for board in range(len(BOARDS)):
-                    self._move(now_ns, board, command.mode, command.motors[2 * board : 2 * board + 2])
+                self._move(now_ns, 0, command.mode, command.motors)
                 heard = [b for b in range(len(BOARDS)) if not self._deaf(now_ns, b)]
                 return [self._statuses[board] for board in heard] if command.request_feedback else []
             case _:
@@ -135,18 +135,21 @@ class EmulatedHand:
         return values.get(command.address, STALL_MS)
 
     def _move(
-        self, now_ns: int, board: int, mode: ControlMode, motors: tuple[MotorTarget | ShortTarget, ...]
+        self, now_ns: int, first: int, mode: ControlMode, targets: Sequence[MotorTarget | ShortTarget]
     ) -> None:
-        if self._deaf(now_ns, board):
-            return
-        self._heard_ns[board] = now_ns
-        for motor, target in enumerate(motors, start=2 * board):
-            self._enabled[motor] = target.enabled and mode in _ANGLE_MODES
-            if self._enabled[motor] and not self._latched[motor]:
-                wanted = float(from_wire_cdeg(target.position, self._signs[motor]))
-                inside = LOW_RAD[motor] - SAME_RAD <= wanted <= HIGH_RAD[motor] + SAME_RAD
-                self.counts["beyond_range"] += not inside
-                self._target_rad[motor] = np.clip(wanted, LOW_RAD[motor], HIGH_RAD[motor])
+        """Obey the set points for the boards from `first` (0-5) on."""
+        motors = slice(2 * first, 2 * first + len(targets))
+        boards = range(first, first + len(targets) // 2)
+        hears = np.repeat([not self._deaf(now_ns, board) for board in boards], 2)
+        enabled = np.array([target.enabled for target in targets]) & (mode in _ANGLE_MODES)
+        wanted = from_wire_cdeg([target.position for target in targets], self._signs[motors])
+        inside = np.minimum(np.maximum(wanted, LOW_RAD[motors]), HIGH_RAD[motors])
+        follows = hears & enabled & ~self._latched[motors]
+        beyond = follows & (np.abs(wanted - inside) > SAME_RAD)
+        self.counts["beyond_range"] += int(np.count_nonzero(beyond))
+        self._target_rad[motors] = np.where(follows, inside, self._target_rad[motors])
+        self._enabled[motors] = np.where(hears, enabled, self._enabled[motors])
+        self._heard_ns[boards] = np.where(hears[::2], now_ns, self._heard_ns[boards])
 
     def _deaf(self, now_ns: int, board: int) -> bool:
         return self.faults.active(now_ns, FaultKind.SILENT, board)

@@ -61,7 +61,7 @@ class DexHandTwin:
         self._ratios = _passive_matrix(assumed)
         self._asked_s = 0.0  # until when time was to pass
         self._goal = np.zeros(self.task.goal_dim)
-        self._state = np.zeros(self.task.state_dim)
+        self._state: Floats | None = None  # of the present moment, once somebody has asked
         self.reset(seed)
 
     # --- as a plant -------------------------------------------------------------------------------
@@ -74,6 +74,8 @@ class DexHandTwin:
     @property
     def state(self) -> Floats:
         """The state (S,) after the last reset, step, advance or restore."""
+        if self._state is None:
+            self._state = np.concatenate([self.joint_angles_rad, self.fingertip_forces_n, *self.die_pose()])
         return self._state.copy()
 
     def reset(self, seed: int, goal: ArrayLike | None = None) -> PlantState:
@@ -239,14 +241,14 @@ class DexHandTwin:
     @property
     def holding(self) -> bool:
         """Whether the die is still in the hand."""
-        return not bool(self.task.dropped(self._state))
+        return not bool(self.task.dropped(self.state))
 
     # --- within -----------------------------------------------------------------------------------
 
     def _observe(self) -> None:
-        """Derive all that is read, and note the state."""
+        """Derive all that is read."""
         mujoco.mj_forward(self.model, self.data)
-        self._state = np.concatenate([self.joint_angles_rad, self.fingertip_forces_n, *self.die_pose()])
+        self._state = None
 
     def _drawn(self, seed: int) -> tuple[Floats, np.random.Generator]:
         """The goal (G,) of an episode, and the generator for the rest of it."""

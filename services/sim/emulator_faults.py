@@ -21,6 +21,7 @@ class Faults:
 
     def add(self, now_ns: int, fault: Fault) -> None:
         """Have `fault`, `at_s` from now."""
+        self._windows = [window for window in self._windows if window[1] > now_ns]
         begin_ns = now_ns + round(fault.at_s * NS_PER_S)
         self._windows.append((begin_ns, begin_ns + round(fault.for_s * NS_PER_S), fault))
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from bench import can
-from bench.can import LIMITS, Measured, main, measure, result
+from bench.can import LIMITS, HandProcess, Measured, main, measure, result
 from common.can_link import Busy
 from common.dexhand021 import device
 from common.dexhand021.replies import BoardFeedback, MotorState
@@ -33,13 +33,14 @@ def test_cycles_without_the_sixth_answer_are_lost_and_the_others_timed(monkeypat
     monkeypatch.setattr(can, "LOST_MS", 250.0)
     found = measure(Answering(lost=(2, 5), full=(7,)), 10, 200.0)
     assert (len(found.round_trips_ms), found.lost, found.unsent) == (7, 2, 1)
-    figures = result(found, 10, 200.0)
+    figures = result(found, HandProcess(0.005), 10, 200.0)
     assert figures["lost_cycles"] == 3 and set(LIMITS) <= set(figures)
+    assert figures["hand_cpu_ms_per_cycle"] == 0.5
     assert figures["passed"] is (figures["round_trip_ms_p50"] <= 2 and figures["round_trip_ms_p99"] <= 8)
 
 
 def test_too_many_lost_cycles_do_not_pass():
-    assert result(Measured([1.0, 1.0], lost=21), 23, 100.0)["passed"] is False
+    assert result(Measured([1.0, 1.0], lost=21), HandProcess(), 23, 100.0)["passed"] is False
 
 
 @pytest.mark.processes
@@ -47,3 +48,4 @@ def test_it_measures_a_hand_in_another_process(capsys):
     main(["--cycles", "50", "--json"])
     figures = json.loads(capsys.readouterr().out)
     assert figures["cycles"] == 50 and 0 < figures["round_trip_ms_p50"] <= figures["round_trip_ms_p99"]
+    assert figures["cpu_ms_per_cycle"] > 0 and figures["hand_cpu_ms_per_cycle"] > 0
