@@ -242,11 +242,13 @@ class HandPort:
             return
         self._state = Link.UP
         self._pause_ns = _ns(self._config.reopen_s)
-        if board in self._waiting:
-            self._waiting.discard(board)
-            if not self._waiting:
-                self._answered.set()
-                self._round_trips_ms.append((now_ns - self._sent_ns) / 1e6)
+        if board not in self._waiting:
+            self._counts["repeated_answers"] += 1
+            return
+        self._waiting.discard(board)
+        if not self._waiting:
+            self._answered.set()
+            self._round_trips_ms.append((now_ns - self._sent_ns) / 1e6)
 
     # --- telling ----------------------------------------------------------------------------------
 

@@ -143,11 +143,11 @@ class EmulatedHand:
         hears = np.repeat([not self._deaf(now_ns, board) for board in boards], 2)
         enabled = np.array([target.enabled for target in targets]) & (mode in _ANGLE_MODES)
         wanted = from_wire_cdeg([target.position for target in targets], self._signs[motors])
-        inside = np.minimum(np.maximum(wanted, LOW_RAD[motors]), HIGH_RAD[motors])
         follows = hears & enabled & ~self._latched[motors]
-        beyond = follows & (np.abs(wanted - inside) > SAME_RAD)
-        self.counts["beyond_range"] += int(np.count_nonzero(beyond))
-        self._target_rad[motors] = np.where(follows, inside, self._target_rad[motors])
+        outside = np.maximum(LOW_RAD[motors] - wanted, wanted - HIGH_RAD[motors]) > SAME_RAD
+        # Counted, not cut: what a real board does with such a set point is not public.
+        self.counts["beyond_range"] += int(np.count_nonzero(follows & outside))
+        self._target_rad[motors] = np.where(follows, wanted, self._target_rad[motors])
         self._enabled[motors] = np.where(hears, enabled, self._enabled[motors])
         self._heard_ns[boards] = np.where(hears[::2], now_ns, self._heard_ns[boards])
 

@@ -71,14 +71,14 @@ def free_ports(count: int) -> list[int]:
 class Ear:
     """Everything small that is said on a cell's bus, decoded, in order of arrival and without repetitions."""
 
-    def __init__(self, port: int, cell: str) -> None:
-        self._codec = codec_for("reach")
+    def __init__(self, port: int, cell: str, task: str = "reach", heard: tuple[Topic, ...] = HEARD) -> None:
+        self._codec = codec_for(task)
         self._lock = threading.Lock()
         self._samples: dict[Topic, list[tuple[float, Sample]]] = defaultdict(list)
         self._known: set[tuple[str, int, int]] = set()
         patient = BusConfig(connect=(f"tcp/127.0.0.1:{port}",), connect_timeout_s=PATIENCE_S)
         self.bus = ZenohBus(patient, cell, "ear")
-        for topic in HEARD:
+        for topic in heard:
             self.bus.subscribe(topic, lambda key, payload, topic=topic: self._hear(topic, key, payload))
 
     def _hear(self, topic: Topic, key: str, payload: bytes) -> None:

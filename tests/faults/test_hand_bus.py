@@ -1,44 +1,42 @@
-"""Each fault of the emulated hand on a bus: what the hand does, what people are told, how it goes on."""
+"""Each fault of an emulated hand in another process: what the hand does, what people see, how it goes on."""
 
-import random
 import time
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from bench.can import free_port
-from common.can_link import CanLink
-from common.dexhand021.frames import FD_LENGTHS, Frame
 from common.hand_messages import ArmWish
+from common.topics import HAND_JOINTS, STEP
 from services.sim.emulator_config import FaultKind
-from tests.unit.services.hand_io.rig import Rig
+from tests.faults.cell import wait
+from tests.faults.hand_cell import HandCell
+
+pytestmark = [pytest.mark.processes, pytest.mark.timeout(120)]
+
+SOFT_RAD = 0.01  # MuJoCo's end stops give way by so much
+INDEX_DISTAL, LITTLE = 4, slice(10, 12)
 
 
 @pytest.fixture(scope="module")
-def shared():
-    rig = Rig("udp_multicast", free_port())
-    rig.wait(lambda: rig.joint is not None and not rig.joint.faults, "the hand")
-    yield rig
-    rig.close()
+def shared(tmp_path_factory):
+    cell = HandCell(tmp_path_factory.mktemp("hand"))
+    try:
+        wait(lambda: cell.joints is not None and not cell.joints.faults, "the hand")
+        yield cell
+    finally:
+        cell.end()
 
 
 @pytest.fixture
-def rig(shared):
+def hand(shared):
+    """The hand, executing random actions; whatever the test did to it, no joint left its range for it."""
     shared.run()
-    begin = len(shared.steps)
+    begun, at = len(shared.steps), time.monotonic()
     yield shared
-    assert shared.twin.within_limits  # on the joints themselves, not on the commands
-    assert shared.emulator.hand.counts["beyond_range"] == 0
-    assert_nothing_lost(shared.steps[begin:])
-
-
-def all_powered(rig):
-    return bool(rig.emulator.hand.powered.all())
-
-
-def none_powered(rig):
-    return not rig.emulator.hand.powered.any()
+    beyond_rad = shared.physics.beyond_rad(shared.physics.since(at))
+    assert beyond_rad < SOFT_RAD
+    assert_nothing_lost(shared.steps[begun:])
 
 
 def assert_nothing_lost(samples):
@@ -52,110 +50,159 @@ def assert_nothing_lost(samples):
         assert np.isfinite(after.message.state).all()
 
 
-def test_a_stalled_motor_is_released_its_error_cleared_and_the_episode_goes_on(rig):
-    boot = rig.steps[-1].header.boot_id
-    rig.inject(FaultKind.STALL, board="index", motor=1, for_s=0.4)
-    rig.wait(lambda: rig.told("ff_dip: STALL"), "the stall to be told")
-    rig.wait(lambda: not rig.emulator.hand.powered[4], "the release")
-    rig.wait(lambda: rig.emulator.hand.powered.all() and not rig.joint.flags.any(), "the motor to work again")
-    assert rig.state == "running" and rig.steps[-1].header.boot_id == boot
-    rig.next_steps()
+def torque(hand, at):
+    """Which motors had torque in each round since then: (n, 12)."""
+    return hand.physics.since(at)[:, -12:] > 0
 
 
-def test_over_temperature_is_a_fault_that_ends_in_hold_and_the_episode_begins_anew(rig):
-    before = rig.steps[-1]
-    rig.inject(FaultKind.OVERHEAT, board="ring", for_s=0.5)
-    rig.wait(lambda: rig.state == "fault" and rig.told("too hot: ring"), "the fault")
-    reply = rig.arm()
+def released(hand, at):
+    """Whether the stalled motor has lost its torque since then, and has it again."""
+    powered = torque(hand, at)[:, INDEX_DISTAL]
+    return not powered.all() and powered[-1]
+
+
+def boot(hand):
+    return hand.steps[-1].header.boot_id
+
+
+def test_a_stalled_motor_is_released_its_error_cleared_and_the_episode_goes_on(hand):
+    before, at = boot(hand), time.monotonic()
+    hand.inject(FaultKind.STALL, board="index", motor=1, for_s=0.4)
+    wait(lambda: hand.told("ff_dip: STALL", at), "the stall to be told")
+    wait(lambda: released(hand, at), "release and return")
+    wait(lambda: not hand.joints.flags.any(), "the clearing")
+    powered = torque(hand, at)
+    assert np.flatnonzero(~powered.all(axis=0)).tolist() == [INDEX_DISTAL]  # the others never stopped
+    assert hand.state == "running" and boot(hand) == before
+    assert hand.count("error_frames") >= 1 and hand.count("clears") >= 1
+    hand.next_steps()
+
+
+def test_over_temperature_is_a_fault_that_ends_in_hold_and_the_episode_begins_anew(hand):
+    before, at = hand.steps[-1], time.monotonic()
+    hand.inject(FaultKind.OVERHEAT, board="ring", for_s=0.6)
+    wait(lambda: hand.told("too hot: ring", at, "fault"), "the fault")
+    reply = hand.ask()
     assert not reply.accepted and "too hot" in reply.reason
-    rig.wait(lambda: rig.state == "hold", "hold")
-    assert not rig.emulator.hand.powered.any()
-    steps = len(rig.steps)
+    wait(lambda: hand.reported("fault: too hot: ring", at), "the report")
+    wait(lambda: hand.state == "hold", "hold")
+    assert not hand.physics.powered.any()
+    at, steps = time.monotonic(), len(hand.steps)
     time.sleep(0.3)
-    assert len(rig.steps) == steps and rig.state == "hold"  # it waits for a person
-    assert rig.arm().accepted
-    rig.next_steps()
-    after = rig.steps[-1]
+    assert len(hand.steps) == steps and hand.state == "hold"  # it waits for a person
+    assert not torque(hand, at).any()
+    assert hand.ask().accepted
+    hand.next_steps()
+    after = hand.steps[-1]
     assert after.message.episode == before.message.episode
     assert after.header.boot_id == before.header.boot_id + 1
 
 
-def test_a_fingertip_that_says_nan_makes_forces_invalid_and_nothing_else(rig):
-    rig.inject(FaultKind.NAN_TACTILE, board="thumb", for_s=0.4)
-    rig.wait(lambda: rig.steps[-1].message.part_valid.tolist() == [1, 0, 1, 1], "invalid forces")
-    rig.wait(lambda: rig.told("no force: thumb"), "the fingertip to be told")
-    rig.wait(lambda: bool(rig.steps[-1].message.part_valid.all()), "valid forces")
-    assert rig.state == "running"
+def test_a_fingertip_that_says_nan_makes_forces_invalid_and_nothing_else(hand):
+    at = time.monotonic()
+    hand.inject(FaultKind.NAN_TACTILE, board="thumb", for_s=0.4)
+    wait(lambda: [1, 0, 1, 1] in validity(hand, at), "invalid forces")
+    wait(lambda: hand.told("no force: thumb", at), "the fingertip to be told")
+    wait(lambda: bool(hand.steps[-1].message.part_valid.all()), "valid forces")
+    assert hand.state == "running" and torque(hand, at).all()
+    assert all(parts in ([1, 0, 1, 1], [1, 1, 1, 1]) for parts in validity(hand, at))
 
 
-def test_a_board_that_is_briefly_silent_makes_its_parts_invalid(rig):
-    rig.inject(FaultKind.SILENT, board="middle", for_s=0.45)
-    rig.wait(lambda: not rig.steps[-1].message.part_valid[0], "invalid angles")
-    old = rig.steps[-1].message
-    assert old.part_age_ms[0] > 250 > old.part_age_ms[2]
-    rig.wait(lambda: bool(rig.steps[-1].message.part_valid.all()), "valid angles")
-    assert rig.state == "running"
+def validity(hand, at):
+    """Of the parts in each step since then."""
+    return [sample.message.part_valid.tolist() for sample in hand.ear.samples(STEP, at)]
 
 
-def test_a_board_that_stays_silent_puts_the_hand_on_hold(rig):
-    rig.inject(FaultKind.SILENT, board="palm", for_s=1.2)
-    rig.wait(lambda: rig.state == "hold" and rig.told("silent: palm"), "hold")
-    here = rig.twin.joint_angles_rad.copy()
-    assert not rig.arm().accepted
+def test_a_board_that_is_briefly_silent_makes_its_parts_invalid(hand):
+    at = time.monotonic()
+    hand.inject(FaultKind.SILENT, board="middle", for_s=0.5)
+    wait(lambda: [0, 0, 1, 1] in validity(hand, at), "invalid angles and forces")
+    wait(lambda: bool(hand.steps[-1].message.part_valid.all()), "valid angles")
+    old = [s.message for s in hand.ear.samples(STEP, at) if not s.message.part_valid[0]]
+    assert all(step.part_age_ms[0] > 250 > step.part_age_ms[2] for step in old)
+    assert np.flatnonzero(~torque(hand, at).all(axis=0)).tolist() == [6, 7]  # a deaf board lets go by itself
+    assert hand.state == "running"
+    assert hand.count("late_cycles") >= 10  # one for each cycle without its answer
+
+
+def test_a_board_that_stays_silent_puts_the_hand_on_hold(hand):
+    begun = time.monotonic()
+    hand.inject(FaultKind.SILENT, board="palm", for_s=1.6)
+    wait(lambda: hand.told("silent: palm", begun, "hold"), "hold")
+    reply = hand.ask()
+    assert not reply.accepted and "silent: palm" in reply.reason
+    time.sleep(0.1)  # for what was still moving
+    at = time.monotonic()
     time.sleep(0.2)
-    assert np.allclose(rig.twin.joint_angles_rad, here, atol=0.02)
-    rig.wait(lambda: not rig.joint.faults, "the board")
-    assert rig.state == "hold"
+    angles = hand.physics.angles(hand.physics.since(at))
+    hears = [*range(2), *range(4, 12)]
+    assert np.ptp(angles[:, hears], axis=0).max() < 0.02
+    wait(lambda: not hand.joints.faults, "the board")
+    assert hand.state == "hold"
 
 
-@pytest.mark.parametrize(
-    ("kind", "amount"),
-    [(FaultKind.DUPLICATE, 0), (FaultKind.REORDER, 0), (FaultKind.DELAY, 30), (FaultKind.DRIFT, 0.2)],
-)
-def test_the_hand_goes_on_through(rig, kind, amount):
-    rig.inject(kind, for_s=0.5, amount=amount)
-    steps = rig.next_steps(10)
+DISTURBANCES = [
+    (FaultKind.DUPLICATE, 0.0, "repeated_answers"),
+    (FaultKind.REORDER, 0.0, "repeated_answers"),
+    (FaultKind.DELAY, 30.0, "late_cycles"),
+]
+
+
+@pytest.mark.parametrize(("kind", "amount", "counted"), DISTURBANCES)
+def test_the_hand_goes_on_through_a_disturbed_bus_and_counts_it(hand, kind, amount, counted):
+    before, at = hand.count(counted), time.monotonic()
+    hand.inject(kind, for_s=0.5, amount=amount)
+    steps = hand.next_steps(10)
     doubts = [(step.part_valid.tolist(), step.part_age_ms.round().tolist()) for step in steps]
     assert all(step.part_valid.all() for step in steps), doubts
-    assert rig.state == "running"
+    assert hand.state == "running" and torque(hand, at).all()
+    assert hand.count(counted) > before
 
 
-def test_a_warm_board_rests_below_the_hands_own_limit_while_the_others_work(rig):
-    rig.inject(FaultKind.WARM, board="little", for_s=0.4, amount=52)
-    rig.wait(lambda: not rig.emulator.hand.powered[10:].any(), "the pause")
+def test_a_sensor_that_drifts_leads_no_joint_out_of_its_range(hand):
+    refused = hand.count("implausible")
+    hand.inject(FaultKind.DRIFT, board="index", for_s=1.0, amount=1.2)
+    wait(lambda: hand.count("implausible") > refused, "readings that no joint can have")
+    at = time.monotonic()
+    hand.inject(FaultKind.STALL, board="index", motor=1, for_s=0.1)  # it starts again from a wrong reading
+    wait(lambda: released(hand, at), "release and return")
+    hand.next_steps(10)
+    assert hand.state == "running"
+    hand.inject(FaultKind.DRIFT, board="index", for_s=1.0, amount=-1.2)
+    wait(lambda: sees_truth(hand), "readings as they should be")
+
+
+def sees_truth(hand):
+    """Whether the newest readings are those of a moment within the last half second."""
+    recent = hand.physics.angles(hand.physics.since(time.monotonic() - 0.5))
+    return np.abs(recent - hand.joints.q_rad).max(axis=1).min() < 0.02
+
+
+def test_a_warm_board_rests_below_the_hands_own_limit_while_the_others_work(hand):
+    at = time.monotonic()
+    hand.inject(FaultKind.WARM, board="little", for_s=0.4, amount=52)
+    wait(lambda: any(s.message.temperature_c[5] == 52 for s in hand.ear.samples(HAND_JOINTS, at)), "the news")
+    wait(lambda: hand.physics.powered.all() and not torque(hand, at)[:, LITTLE].all(), "pause and its end")
     others = [*range(2), *range(4, 10)]  # the palm has no thermometer: it rests with the warmest
-    assert rig.emulator.hand.powered[others].all() and rig.state == "running"
-    rig.wait(lambda: all_powered(rig), "the end of the pause")
+    assert torque(hand, at)[:, others].all() and hand.state == "running"
+    assert hand.count("limit_temperature") >= 2
 
 
-def test_bus_off_is_a_fault_the_bus_is_opened_again_and_the_hand_stays_in_hold(rig):
-    rig.inject(FaultKind.BUS_OFF, for_s=0.5)
-    rig.wait(lambda: rig.state == "fault" and rig.told("bus off"), "the fault")
-    rig.wait(lambda: none_powered(rig), "limp motors")
-    rig.wait(lambda: rig.state == "hold" and not rig.joint.faults, "hold")
+def test_bus_off_is_a_fault_the_bus_is_opened_again_and_the_hand_stays_in_hold(hand):
+    opened, at = hand.count("opens"), time.monotonic()
+    hand.inject(FaultKind.BUS_OFF, for_s=0.7)
+    wait(lambda: hand.told("bus off", at, "fault"), "the fault")
+    wait(lambda: hand.reported("fault: bus off", at), "the report")
+    wait(lambda: not hand.physics.powered.any(), "limp motors")
+    wait(lambda: hand.state == "hold" and not hand.joints.faults, "hold")
+    at = time.monotonic()
     time.sleep(0.2)
-    assert rig.state == "hold" and not rig.emulator.hand.powered.any()
+    assert hand.state == "hold" and not torque(hand, at).any()
+    assert hand.count("opens") > opened
 
 
-def test_who_disarms_a_hand_keeps_it_disarmed_and_it_lets_go_after_a_while(rig):
-    assert rig.arm(ArmWish.DISARM).accepted
-    rig.wait(lambda: rig.state == "hold", "hold")
-    rig.wait(lambda: none_powered(rig), "no torque")
-    assert rig.arm(ArmWish.STATUS).state == "hold"
-
-
-def test_fuzzed_frames_neither_end_nor_move_anything():
-    rig = Rig()
-    rig.wait(lambda: rig.joint is not None and not rig.joint.faults, "the hand")
-    link, rng = CanLink(rig.can), random.Random(7)
-    for number in range(4000):
-        frame = Frame(rng.choice((rng.randrange(0x800), 0x187 + rng.randrange(6))), b"")
-        link.send(Frame(frame.can_id, rng.randbytes(rng.choice(FD_LENGTHS))))
-        if number % 50 == 0:
-            time.sleep(0.001)
-    link.close()
-    health = len(rig.health)
-    rig.wait(lambda: len(rig.health) >= health + 2, "heartbeats of both")
-    assert rig.twin.moved_rad == 0.0 and not rig.emulator.hand.powered.any()
-    assert rig.state in ("hold", "fault") and not rig.steps
-    rig.close()
+def test_who_disarms_a_hand_keeps_it_disarmed_and_it_lets_go_after_a_while(hand):
+    assert hand.ask(ArmWish.DISARM).accepted
+    wait(lambda: hand.state == "hold", "hold")
+    wait(lambda: not hand.physics.powered.any(), "no torque")
+    assert hand.ask(ArmWish.STATUS).state == "hold"
