@@ -30,6 +30,7 @@ from services.sim.emulator_sensors import TwinLike
 
 FAULT_QUERY = "emulator/fault"
 SWITCH_S = 0.0005  # between threads of such a process: an answer must not wait 5 ms for one to end its turn
+FRAMES_A_ROUND = 64  # answered at most before a round that is due
 LIFT_M = 0.002  # the die is laid down from so high
 NS_PER_S = 1e9
 
@@ -103,30 +104,40 @@ class EmulatorPort:
         ticker = Ticker(round(NS_PER_S / self._config.physics_hz), self._clock.now_ns())
         poses = Ticker(round(NS_PER_S / self._config.pose_hz), self._clock.now_ns())
         while not self._stop.is_set():
+            self._answer_until(ticker.next_ns)
             now_ns = self._clock.now_ns()
-            if not ticker.take(now_ns):
-                self._answer((ticker.next_ns - now_ns) / NS_PER_S)
-                continue
+            ticker.take(now_ns)
             self._send(self._round(now_ns))
             if poses.take(now_ns):
                 self._deliver(TWIN_FRAME, self._frame())
 
-    def _answer(self, wait_s: float) -> None:
-        """Wait for a frame, no longer than until the next round, and answer it."""
+    def _answer_until(self, end_ns: int) -> None:
+        """Answer what comes, and what has come while a round took too long: neither may starve the other."""
+        answered = 0
+        while not self._stop.is_set():
+            left_ns = end_ns - self._clock.now_ns()
+            heard = self._answer(max(left_ns, 0) / NS_PER_S)
+            answered += heard
+            if left_ns <= 0 and (not heard or answered >= FRAMES_A_ROUND):
+                return
+
+    def _answer(self, wait_s: float) -> bool:
+        """Wait for a frame and answer it; whether something came."""
         assert self._link is not None
         try:
             frame = self._link.receive(wait_s)
         except (BadFrame, BusOff):
-            return  # what is no frame is none of the boards' business
+            return True  # what is no frame is none of the boards' business
         except LinkError:
             self._stop.wait(wait_s)
-            return
+            return False
         if frame is None:
-            return
+            return False
         now_ns = self._clock.now_ns()
         answers = self.hand.receive(now_ns, frame)
         self._send([answer for due_ns, answer in answers if due_ns <= now_ns])
         self._late += [(due_ns, answer) for due_ns, answer in answers if due_ns > now_ns]
+        return True
 
     def _send(self, frames: list[Frame]) -> None:
         assert self._link is not None

@@ -84,7 +84,14 @@ class HandCell:
         port, self.can_port = free_ports(1)[0], free_port()
         endpoint = f"tcp/127.0.0.1:{port}"
         own = (f"run_dir={run_dir}", f"bus.listen=[{endpoint}]", f"bus.connect=[{endpoint}]")
-        sets = (*QUICK, *own, f"can.port={self.can_port}", "log.enabled=false", *sets)
+        sets = (
+            *QUICK,
+            *own,
+            f"can.port={self.can_port}",
+            "log.enabled=false",
+            "bus.connect_timeout_s=90",
+            *sets,
+        )
         self._router = Router((endpoint,))
         self.cell = on_this_machine(load_cell("dexhand_twin", sets))
         self._files = write_process_configs(self.cell)
@@ -96,6 +103,15 @@ class HandCell:
     def start(self, name):
         words = [sys.executable, "-m", MODULES[name], "--config", str(self._files.config_of(name))]
         return subprocess.Popen(words, cwd=REPOSITORY)
+
+    def ready(self):
+        """Wait until all boards are heard."""
+        wait(
+            lambda: self.joints is not None and not self.joints.faults,
+            lambda: (
+                f"the hand: {[p.poll() for p in self.processes.values()]}, {self.joints}, {self.ear.health('hand_io')}, {self.ear.health('emulator')}"
+            ),
+        )
 
     def end(self):
         for process in self.processes.values():

@@ -22,7 +22,7 @@ INDEX_DISTAL, LITTLE = 4, slice(10, 12)
 def shared(tmp_path_factory):
     cell = HandCell(tmp_path_factory.mktemp("hand"))
     try:
-        wait(lambda: cell.joints is not None and not cell.joints.faults, "the hand")
+        cell.ready()
         yield cell
     finally:
         cell.end()

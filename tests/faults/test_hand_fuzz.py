@@ -76,7 +76,7 @@ class Stranger:
                 self._socket.sendto(datagram, self._to)
             while under_way:  # what has come back here has reached the others
                 under_way -= Counter([self._socket.recv(65536)])
-            while any(waiting for waiting, _ in self.readers()):
+            while self.waiting():
                 time.sleep(0.0005)
 
     def _drain(self):
@@ -84,11 +84,18 @@ class Stranger:
             self._socket.recv(65536)
 
     def readers(self):
-        """(bytes waiting, datagrams dropped) of each other socket on the bus's port."""
+        """What /proc tells of each other socket on the bus's port."""
         rows = [line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:]]
-        mine = [row for row in rows if row[1].endswith(f":{self._to[1]:04X}")]
         own = str(os.fstat(self._socket.fileno()).st_ino)
-        return [(int(row[4].split(":")[1], 16), int(row[12])) for row in mine if row[9] != own]
+        return [row for row in rows if row[1].endswith(f":{self._to[1]:04X}") and row[9] != own]
+
+    def waiting(self):
+        """Bytes that one of them has not read yet."""
+        return sum(int(row[4].split(":")[1], 16) for row in self.readers())
+
+    def dropped(self):
+        """Datagrams for which one of them had no room."""
+        return sum(int(row[12]) for row in self.readers())
 
     def close(self):
         self._socket.close()
@@ -148,7 +155,7 @@ def answered(frame):
 def hand(tmp_path_factory):
     cell = HandCell(tmp_path_factory.mktemp("fuzz"))
     try:
-        wait(lambda: cell.joints is not None and not cell.joints.faults, "the hand")
+        cell.ready()
         yield cell
     finally:
         cell.end()
@@ -169,20 +176,28 @@ def sinks_only(hand, rows):
     return not rows[:, -12:].any() and hand.physics.moved_rad(rows) < SINKING_RAD_S * seconds
 
 
+def flood(hand, stranger, datagrams):
+    """Send them all, again if the machine was too busy to deliver each; what hand_io counted meanwhile."""
+    for _ in range(3):
+        before, dropped = hand.counts(), stranger.dropped()
+        stranger.send(datagrams)
+        wait(lambda: not hand.joints.flags.any(), "the clearing of errors that there are not")
+        wait(lambda: not hand.joints.faults and hand.state == "hold", "the end of false alarms")
+        after = hand.counts()
+        if stranger.dropped() == dropped:
+            return {kind: after.get(kind, 0.0) - before.get(kind, 0.0) for kind in (*KINDS, "clears")}
+    pytest.fail("this machine is too busy to deliver datagrams")
+
+
 def test_all_are_counted_and_nothing_moves(hand, stranger):
     frames = list(fuzzed(DISTINCT)) * (TOTAL // DISTINCT)
-    wait(lambda: hand.physics.rows()[-1, 0] - hand.physics.rows()[0, 0] > 4.0, "the limp hand to lie down")
-    before, at = hand.counts(), time.monotonic()
-    stranger.send([datagram for datagram, _ in frames])
-    assert [dropped for _, dropped in stranger.readers()] == [0, 0]
-    wait(lambda: not hand.joints.flags.any(), "the clearing of errors that there are not")
-    after = hand.counts()
-    counted = {kind: after.get(kind, 0.0) - before.get(kind, 0.0) for kind in (*KINDS, "clears")}
     expected = Counter(kind for _, kind in frames)
     assert min(expected[kind] for kind in KINDS) > 100
+    wait(lambda: hand.physics.rows()[-1, 0] - hand.physics.rows()[0, 0] > 4.0, "the limp hand to lie down")
+    at = time.monotonic()
+    counted = flood(hand, stranger, [datagram for datagram, _ in frames])
     expected["answers"] += counted.pop("clears")  # the hand answers those as well
     assert counted == {kind: expected[kind] for kind in KINDS}
-    wait(lambda: not hand.joints.faults and hand.state == "hold", "the end of false alarms")
     assert sinks_only(hand, hand.physics.since(at))
     assert not hand.steps
 

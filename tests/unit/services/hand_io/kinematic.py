@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from common.dexhand021.tables import MOTORS
+from common.dexhand021.tables import HIGH_RAD, LOW_RAD, MOTORS
 from services.hand_io.config import CUP_RAD
 
 PACE_RAD_S = 4.0
@@ -52,3 +52,7 @@ class KinematicTwin:
     @property
     def moved_rad(self):
         return float((self.highest - self.lowest).max())
+
+    @property
+    def within_limits(self):
+        return bool((self.lowest >= LOW_RAD - 1e-9).all() and (self.highest <= HIGH_RAD + 1e-9).all())
