@@ -31,6 +31,13 @@ _CEM = (
     "planner.iterations=5",
     "planner.refine_steps=0",
 )
+_AS_PUBLISHED = (
+    "model.coordinates=raw",
+    "learner.loss.beta_nll=0",
+    "learner.loss.second_step=true",
+    "planner.stray_weight=0",
+    "planner.sink_weight=0",
+)
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "gc_pmpc": Method("the cell as it is"),
@@ -46,8 +53,9 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             ),
         ),
         "dpets": Method(
-            "no normalisation, no variance penalty, no smoothing, CEM, synchronous",
+            "raw state, no normalisation, no variance penalty, no smoothing, CEM, synchronous",
             (
+                *_AS_PUBLISHED,
                 "model.normalise=false",
                 "model.targets=raw",
                 "learner.loss.variance_penalty=0",
@@ -57,8 +65,9 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             ),
         ),
         "pets": Method(
-            "one-step likelihood, no Dropout, sampled particles, CEM, synchronous",
+            "raw state, one-step likelihood, no Dropout, sampled particles, CEM, synchronous",
             (
+                *_AS_PUBLISHED,
                 "model.dropout=0",
                 "learner.loss.second_step=false",
                 "learner.loss.variance_penalty=0",

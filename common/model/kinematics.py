@@ -26,6 +26,10 @@ class Frames(NamedTuple):
         """The frames of some links."""
         return Frames(self.rotation[:, :, links], self.origin[:, links])
 
+    def states(self, part: slice) -> Frames:
+        """The frames in some of the N postures."""
+        return Frames(self.rotation[..., part], self.origin[..., part])
+
     def place(self, points: Tensor) -> Tensor:
         """Points (3, L, 1) of the links' own frames in the world: (3, L, N)."""
         return self.origin + (self.rotation * points).sum(1)

@@ -21,6 +21,7 @@ from services.sim.plant import ShadowHandPlant
 
 mujoco: Any = compiled_mujoco
 STEPS = 12
+TOUCH = 13 * 16 + 15  # features of contact, the last of all
 PARTS = ("proximal", "middle", "distal")
 RODS = [f"robot0:C_{finger}{part}" for finger in ("ff", "mf", "rf", "lf", "th") for part in PARTS]
 
@@ -57,9 +58,9 @@ def test_gaps_and_normals_are_those_of_mujocos_collision_shapes(played):
     coordinates = coordinates_of("contact", plant.task)
     thing = plant.model.geom("object").id
     C = len(RODS)
-    contact = coordinates.encode(states[:-1], actions)[:, -12 * C - 10 :]
-    gaps = contact[:, 9 * C : 10 * C]
-    normals = contact[:, 3 * C : 6 * C].reshape(-1, 3, C)
+    features = coordinates.encode(states[:-1], actions)[:, -TOUCH:]
+    gaps = features[:, 9 * (C + 1) :]
+    normals = features[:, 3 * (C + 1) : 6 * (C + 1)].reshape(-1, 3, C + 1)
     exact = 3e-4 if plant.task.name == "egg" else 2e-3  # a cube may be nearest at another point of the rod
     close = 0
     for t, state in enumerate(states[:-1]):
@@ -158,7 +159,7 @@ def test_everything_is_differentiable(played):
     step = torch.zeros_like(state)
     step[0, 5] = 1e-3  # a joint moves the gaps of its finger's rods
     leaf = state.clone().requires_grad_()
-    far = slice(-12 * 15 - 10 + 9 * 15, -12 * 15 - 10 + 9 * 15 + 15)
+    far = slice(-TOUCH + 9 * 16, -TOUCH + 9 * 16 + 15)
     (slope,) = torch.autograd.grad(coordinates.encode(leaf, actions[5:6])[0, far].sum(), leaf)
     ends = [coordinates.encode(state + sign * step, actions[5:6])[0, far].sum().item() for sign in (1, -1)]
     assert (ends[0] - ends[1]) / 2e-3 == pytest.approx(float(slope[0, 5]), abs=2e-3)
