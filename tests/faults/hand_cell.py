@@ -106,12 +106,11 @@ class HandCell:
 
     def ready(self):
         """Wait until all boards are heard."""
-        wait(
-            lambda: self.joints is not None and not self.joints.faults,
-            lambda: (
-                f"the hand: {[p.poll() for p in self.processes.values()]}, {self.joints}, {self.ear.health('hand_io')}, {self.ear.health('emulator')}"
-            ),
-        )
+        wait(lambda: self.joints is not None and not self.joints.faults, self.describe)
+
+    def describe(self):
+        ended = {name: process.poll() for name, process in self.processes.items()}
+        return f"the hand: {ended}, {self.joints}, {self.ear.health('hand_io')}"
 
     def end(self):
         for process in self.processes.values():
