@@ -37,7 +37,7 @@ DIE_POSITION = slice(17, 20)  # of the state, see common/task/die.py
 REST_M = 0.002  # a die that moves by more is still being laid in
 JOINTS_PERIOD_NS = 100_000_000  # of hand/joints
 RELAXED_FRAMES = 5  # without torque although armed: not just a command that is still on its way
-REFRESH_NS = 1_000_000_000  # how often the driver hears during a reset that the hold is still wanted
+REFRESHES = 4  # how often within `hold_s` the driver hears during a reset that the hold is still wanted
 _EMPTY: Float32 = np.zeros(0, np.float32)
 OFF = HandCommand(Drive.OFF, _EMPTY, 0)
 STAY = HandCommand(Drive.HOLD, _EMPTY, 0)
@@ -50,6 +50,7 @@ class DrivenHand:
         self._period_ns = config.control.period_ns
         self._reset_ns = round(config.hand_io.reset_s * NS_PER_S)
         self._settle_ns = round(config.hand_io.settle_s * NS_PER_S)
+        self._refresh_ns = round(config.hand_io.hold_s * NS_PER_S) // REFRESHES
         self._start = np.clip(to_normalised(config.hand_io.start_rad), -1.0, 1.0)
         self._task = task
         self.goal: Float32 = np.zeros(task.goal_dim, np.float32)
@@ -92,7 +93,7 @@ class DrivenHand:
         elif self._rest is None or np.abs(position - self._rest[1]).max() > REST_M:
             self._rest = self.now_ns, position
         ready = self._rest is not None and self.now_ns - self._rest[0] >= self._settle_ns
-        remind = not ready and self.now_ns - self._told_ns >= REFRESH_NS
+        remind = not ready and self.now_ns - self._told_ns >= self._refresh_ns
         return ready, [self._to_start()] if remind else []
 
 

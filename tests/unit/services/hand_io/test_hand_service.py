@@ -12,7 +12,7 @@ from common.messages import Chunk, Episode, Fallback, Header, Mode, PlantFrame, 
 from common.service import Publish, ToPort
 from common.topics import CHUNK, EPISODE, PLANT_FRAME, STEP
 from services.sim.service import SimService
-from tests.unit.services.hand_io.hand import CODEC, POSE, TASK, DrivenService
+from tests.unit.services.hand_io.hand import CODEC, FRAME_NS, POSE, TASK, DrivenService
 
 GOAL = TASK.goal(4).astype(np.float32)
 
@@ -82,6 +82,18 @@ def test_the_die_that_is_still_being_laid_in_keeps_the_episode_waiting():
     for _ in range(12):
         hand.turn()
     assert hand.steps
+
+
+def test_while_the_die_is_waited_for_the_driver_hears_often_enough_not_to_let_go():
+    hand = DrivenService(hold_s=0.4).armed()
+    hand.pose = replace(POSE, position=np.array([-0.1, 0.0, 0.1], np.float32))
+    hand.send(EPISODE, episode())
+    heard = []
+    for number in range(100):
+        before = len(hand.commands)
+        hand.turn()
+        heard += [number] * (len(hand.commands) - before)
+    assert np.diff(heard).max() * FRAME_NS <= 0.2e9
 
 
 def running(**control):
