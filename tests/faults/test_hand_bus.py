@@ -164,7 +164,7 @@ def test_a_sensor_that_drifts_leads_no_joint_out_of_its_range(hand):
     hand.inject(FaultKind.DRIFT, board="index", for_s=1.0, amount=1.2)
     wait(lambda: hand.count("implausible") > refused, "readings that no joint can have")
     at = time.monotonic()
-    hand.inject(FaultKind.STALL, board="index", motor=1, for_s=0.1)  # it starts again from a wrong reading
+    hand.inject(FaultKind.STALL, board="index", motor=1, for_s=0.4)  # it starts again from a wrong reading
     wait(lambda: released(hand, at), "release and return")
     hand.next_steps(10)
     assert hand.state == "running"
