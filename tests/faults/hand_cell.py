@@ -28,7 +28,7 @@ from tests.faults.traced_emulator import TRACE
 
 QUICK = (
     "control.rate_hz=20",
-    "hand_io={auto_arm: false, hold_s: 0.6, stale_ms: 250, pose_stale_ms: 500, silent_s: 0.7, recover_s: 0.2,"
+    "hand_io={auto_arm: false, hold_s: 0.6, stale_ms: 250, pose_stale_ms: 500, silent_s: 1.2, recover_s: 0.2,"
     " reset_s: 0.2, settle_s: 0.05, clear_s: 0.1, max_clear_s: 0.4, reopen_s: 0.1, max_reopen_s: 0.2,"
     " limits: {backoff_s: 0.2, max_backoff_s: 0.4}}",
     "emulator.silence_s=0.2",

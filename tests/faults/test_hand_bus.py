@@ -128,7 +128,7 @@ def test_a_board_that_is_briefly_silent_makes_its_parts_invalid(hand):
 
 def test_a_board_that_stays_silent_puts_the_hand_on_hold(hand):
     begun = time.monotonic()
-    hand.inject(FaultKind.SILENT, board="palm", for_s=1.6)
+    hand.inject(FaultKind.SILENT, board="palm", for_s=2.2)
     wait(lambda: hand.told("silent: palm", begun, "hold"), "hold")
     reply = hand.ask()
     assert not reply.accepted and "silent: palm" in reply.reason
