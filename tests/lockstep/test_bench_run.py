@@ -51,6 +51,8 @@ def test_a_run_leaves_rows_a_model_and_a_summary(finished):
     assert summary["training_episodes"] == 2 and summary["evaluation"]["goals"] == 1
     assert (directory / "learner" / "snapshot.safetensors").exists()
     assert json.loads((directory / "summary.json").read_text()) == summary
+    results = [json.loads(line) for line in (directory / "results.jsonl").read_text().splitlines()]
+    assert [(row["episode"], row["goals"]) for row in results] == [(0, 1), (2, 1)]
 
 
 def test_the_same_seed_gives_the_same_bytes(finished, tmp_path):
@@ -92,9 +94,12 @@ def test_evaluation_runs_the_newest_model_on_held_out_goals(finished):
     found = evaluation.result(cell, snapshot, rows, 1.0)
     assert found["goals"] == 2 and found["success_paper"]["wilson_95"]
     json.dumps(found)
+    row = evaluation.row_of(directory, found, rows)
+    assert (row["method"], row["seed"], row["episode"], row["goals"]) == ("gc_pmpc", 0, 2, 2)
+    assert row["mean_finger_error_mm"] == pytest.approx(1e3 * found["error_mean_finger_m"]["mean"], abs=1e-3)
 
 
-@pytest.mark.parametrize("module", ["bench.run", "bench.evaluate"])
+@pytest.mark.parametrize("module", ["bench.run", "bench.evaluate", "bench.ceiling", "bench.sweep"])
 def test_benches_import_neither_bus_nor_viewer_nor_devices(module):
     code = f"import sys, {module}; print(*[m for m in {FORBIDDEN} if m in sys.modules])"
     done = subprocess.run(
