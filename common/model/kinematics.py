@@ -43,11 +43,16 @@ class _Level:
     """
 
     joints: Tensor  # (k,) index of each link's joint in the posture
-    parents: Tensor  # (k,) index in the level above
+    parents: Tensor | None  # (k,) index in the level above; None: each one's own
     offset: Tensor  # (3, k, 1) of the frame in its parent's, m
     still: Tensor  # (3, 3, k, 1)
     sine: Tensor
     versine: Tensor
+
+    def to(self, device: torch.device | str) -> _Level:
+        """The same on `device`."""
+        names = [each.name for each in fields(self) if getattr(self, each.name) is not None]
+        return replace(self, **{name: getattr(self, name).to(device) for name in names})
 
 
 class Kinematics:
@@ -65,10 +70,7 @@ class Kinematics:
         """The same tree on `device`."""
         moved = object.__new__(Kinematics)
         moved.index = self.index
-        moved._levels = [
-            replace(level, **{f.name: getattr(level, f.name).to(device) for f in fields(level)})
-            for level in self._levels
-        ]
+        moved._levels = [level.to(device) for level in self._levels]
         return moved
 
     def frames(self, posture: Tensor) -> Frames:
@@ -81,7 +83,7 @@ class Kinematics:
             if above is None:
                 above = Frames(turn, level.offset.expand(-1, -1, posture.shape[1]))
             else:
-                parent = above.of(level.parents)
+                parent = above if level.parents is None else above.of(level.parents)
                 rotation = (parent.rotation[:, :, None] * turn).sum(1)
                 above = Frames(rotation, parent.place(level.offset))
             found.append(above)
@@ -114,7 +116,7 @@ def _level(links: list[Link], above: list[Link], joint_names: tuple[str, ...]) -
     still, sine, versine = (part.permute(1, 2, 0)[..., None].float().contiguous() for part in parts)
     return _Level(
         joints=torch.tensor([joint_names.index(link.joint) for link in links]),
-        parents=torch.tensor(parents),
+        parents=None if parents == list(range(len(names))) else torch.tensor(parents),
         offset=columns([link.position for link in links]),
         still=still,
         sine=sine,

@@ -183,3 +183,13 @@ def test_shapes_know_their_surface():
 def test_a_task_without_such_an_object_is_refused():
     with pytest.raises(ValueError, match="reach has none of"):
         coordinates_of("contact", get_task("reach"))
+
+
+def test_it_moves_to_another_device_whole(played):
+    plant, states, actions = played
+    coordinates = coordinates_of("contact", plant.task)
+    assert torch.equal(
+        coordinates.to("cpu").encode(states[0], actions[0]), coordinates.encode(states[0], actions[0])
+    )
+    elsewhere = coordinates.to("meta")
+    assert elsewhere.encode(states[:3].to("meta"), actions[:3].to("meta")).shape == (3, coordinates.inputs)
