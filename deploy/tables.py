@@ -90,7 +90,9 @@ def usage() -> str:
 def commands() -> str:
     """One row per module that people start, by the first sentence of its docstring."""
     started = {"deploy.main", *(process.module for process in PROCESSES)}  # the first behind run_all.sh
-    found = sorted(path for part in ("deploy", "bench") for path in (REPOSITORY / part).rglob("*.py"))
+    found = sorted(
+        path for part in ("deploy", "bench", "services") for path in (REPOSITORY / part).rglob("*.py")
+    )
     return table(("command", "what it does"), (row for path in found for row in _command_rows(path, started)))
 
 

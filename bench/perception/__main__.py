@@ -1,4 +1,4 @@
-"""How well the die is found and followed: `python -m bench.perception --sequences DIR --json`.
+"""`python -m bench.perception --sequences DIR --json`: how well the die is found and followed.
 
 Sequences that are missing in DIR are filmed first (minutes). All figures count frames from the first time
 that the die was found in a sequence. A plain ICP is run over the same frames, started from the truth.

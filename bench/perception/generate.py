@@ -1,4 +1,4 @@
-"""Make sequences: `python -m bench.perception.generate --out DIR --suite tuning|held_out|looks`."""
+"""`python -m bench.perception.generate --out DIR --suite SUITE`: films sequences of the die."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The die as a textured mesh, for backends that want one: `python -m services.perception.mesh_file OUT.obj`.
+"""`python -m services.perception.mesh_file OUT.obj`: the die as a textured mesh, for backends that want one.
 
 Metres, centred, the frame of common.die: what FoundationPose takes as `mesh`. A mesh in millimetres is the
 most frequent mistake made with it; SAM-6D wants just that (`--millimetres`).

@@ -1,4 +1,4 @@
-"""Learn a new die: `python -m services.perception.onboard --source SOURCE --size-mm 60 --out die.yaml`.
+"""`python -m services.perception.onboard --source RECORDING --size-mm 60 --out die.yaml`: learns a new die.
 
 Lay the die into the open hand, a face towards the camera, and turn it to another one now and then. Colours,
 polarity, pip radius and spacing are fitted. Corner radius, and which way round pips lie, are for a person.
