@@ -1,0 +1,78 @@
+"""Options of perception."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from common.camera_config import CameraConfig
+from common.cell import SharedConfig
+from common.config import Frozen
+from services.perception.calibration import Dictionary
+from services.perception.filter import FilterConfig
+from services.perception.screen import ScreenConfig
+from services.perception.status import SilenceConfig
+
+
+class SourceConfig(Frozen):
+    """A camera, or what stands in for one."""
+
+    kind: Literal["bus", "recording"] = Field(
+        default="bus", description="bus: camera/frame, from another process of the cell; recording: a folder"
+    )
+    folder: Path | None = Field(default=None, description="of the recording")
+    repeat: bool = Field(default=False, description="begin the recording again at its end")
+
+
+class ReachConfig(Frozen):
+    """A ball in the palm's frame."""
+
+    centre_m: tuple[float, float, float] = Field(default=(0.06, 0.0, 0.12), description="in the palm's frame")
+    radius_m: float = Field(default=0.15, gt=0.0, description="a die is searched within it")
+    believed_m: float = Field(default=0.5, gt=0.0, description="and followed as far as this from the centre")
+
+
+class KnockConfig(Frozen):
+    """How closely the camera's place is watched."""
+
+    period_s: float = Field(default=1.0, gt=0.0, description="between two looks at the palm's tag")
+    limit_px: float = Field(default=2.0, gt=0.0, description="a tag further off means a knocked camera")
+    looks: int = Field(default=3, ge=1, description="so many in a row decide")
+
+
+class CubeConfig(Frozen):
+    """The marker cube; its edge is the die's."""
+
+    dictionary: Dictionary = "DICT_4X4_50"
+    first: int = Field(default=1, ge=0, description="number of face 1's marker; the others follow")
+    marker_m: float = Field(default=0.044, gt=0.0, description="side of a marker's black square")
+
+
+class PerceptionConfig(Frozen):
+    """Which camera is read, who finds the die in its pictures, and what is believed of that."""
+
+    source: SourceConfig = SourceConfig()
+    calibration: Path | None = Field(
+        default=None, description="file of services.perception.calibrate; none: the emulated camera's place"
+    )
+    backend: Literal["aruco"] = Field(default="aruco", description="who finds the die")
+    aruco: CubeConfig = CubeConfig()
+    die: str = Field(default="white", description="which of common.dice")
+    screen: ScreenConfig = ScreenConfig()
+    silence: SilenceConfig = SilenceConfig()
+    filter: FilterConfig = FilterConfig()
+    reach: ReachConfig = ReachConfig()
+    knock: KnockConfig = KnockConfig()
+    search_pause_s: float = Field(default=0.2, ge=0.0, description="between two searches")
+    preview_hz: float = Field(default=2.0, ge=0.0, le=5.0, description="pictures for the dashboard; 0: none")
+    declared_track_ms: float = Field(default=6.0, ge=0.0, description="lock-step only")
+    declared_register_ms: float = Field(default=200.0, ge=0.0, description="lock-step only")
+
+
+class PerceptionProcess(SharedConfig):
+    """What the perception process is started with."""
+
+    perception: PerceptionConfig = PerceptionConfig()
+    camera: CameraConfig = CameraConfig()
