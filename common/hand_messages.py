@@ -13,12 +13,15 @@ class PoseSource(StrEnum):
     """Who tells where the object is; exactly one in a cell."""
 
     TWIN = "twin"  # the physics behind the emulated hand
-    CAMERA = "camera"
+    PERCEPTION = "perception"
 
 
 @dataclass(frozen=True)
 class ObjectPose:
-    """`object/pose`: the die in the palm frame; the header's t_ns is when it was seen."""
+    """`object/pose`: the die in the palm frame; the header's t_ns is when it was seen.
+
+    The header's `valid` is the sender's claim that it is right: from others nothing is learned.
+    """
 
     position: Annotated[Float32, ArraySpec("<f4", (3,), "m, palm frame")]
     rotation: Annotated[Float32, ArraySpec("<f4", (4,), "quaternion wxyz, palm frame", limit=2.0)]

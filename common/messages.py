@@ -11,6 +11,14 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, Any
 
+from common.camera_messages import (
+    CameraFrame,
+    CameraPreview,
+    PoseReset,
+    PoseResetReply,
+    PoseTracking,
+    TwinTruth,
+)
 from common.hand_messages import (
     ArmReply,
     ArmRequest,
@@ -203,8 +211,9 @@ class PlantFrame:
 
 BusMessage = Step | Chunk | Episode | Ack | SnapshotMessage | Metrics | Health | ObjectPose | HandJoints
 PortMessage = PlantCommand | PlantFrame | HandCommand | HandFrame | ArmRequest | ArmReply
-TwinMessage = TwinCommand | TwinFrame
-Message = BusMessage | PortMessage | TwinMessage
+TwinMessage = TwinCommand | TwinFrame | TwinTruth
+CameraMessage = CameraFrame | CameraPreview | PoseTracking | PoseReset | PoseResetReply
+Message = BusMessage | PortMessage | TwinMessage | CameraMessage
 
 
 @dataclass(frozen=True)

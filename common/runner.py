@@ -11,7 +11,7 @@ from common.buslog import Entry, LogSink, NoLog
 from common.codec import Codec, Refused
 from common.messages import Header, Message
 from common.service import Finish, Job, Output, Port, Publish, Service, ToPort
-from common.topics import Topic
+from common.topics import Topic, topic_of
 
 
 class Dispatcher:
@@ -64,7 +64,8 @@ class Dispatcher:
         self, now_ns: int, ticks: int, arrived: list[tuple[str, bytes]], results: list[JobResult]
     ) -> None:
         for key, payload in arrived:
-            self._log.write(Entry("in", now_ns, key, payload))
+            if topic_of(key).logged:
+                self._log.write(Entry("in", now_ns, key, payload))
         for result in results:
             duration = struct.pack("<q", result.duration_ns)
             self._log.write(Entry("result", now_ns, result.name, duration))

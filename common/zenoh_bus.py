@@ -25,9 +25,6 @@ CLOSE_S = 2.0
 ALIVE_TIMEOUT_S = 1.0
 HEARTBEAT_S = 0.2  # publishers of recovered topics say how far they are: bounds the delay of a recovery
 QUEUE = 1024  # samples between Zenoh's threads and ours; when full, Zenoh waits and nothing is lost here
-# Of topics that block their sender only the newest matter; but a few must fit, or bad ones, which are refused
-# only behind this queue, would push a good one out unseen.
-BULK_QUEUE = 64
 
 _PRIORITIES = {
     Priority.REAL_TIME: zenoh.Priority.REAL_TIME,
@@ -235,7 +232,7 @@ def _miss_detection(topic: Topic) -> ext.MissDetectionConfig:
 
 
 def _subscriber(session: zenoh.Session, topic: Topic, full_key: str) -> Any:
-    queue = RingChannel(BULK_QUEUE) if topic.block else FifoChannel(QUEUE)
+    queue = RingChannel(topic.ring) if topic.ring else FifoChannel(QUEUE)
     if not topic.latched:
         return session.declare_subscriber(full_key, queue)
     recovery: dict[str, Any] = {"heartbeat": True}

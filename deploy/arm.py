@@ -11,13 +11,14 @@ import sys
 from common.built import new_boot_id
 from common.codec import Codec, Refused
 from common.config import ConfigError
+from common.desk import ANSWER_S
 from common.hand_messages import ArmReply, ArmRequest, ArmWish
 from common.messages import Header
 from common.topics import ARM_REPLY
 from common.zenoh_bus import ZenohBus
 from common.zenoh_router import BusError
 from deploy.cell import Cell, load_cell
-from services.hand_io.desk import ANSWER_S, QUERY
+from services.hand_io.desk import QUERY
 
 ROUTER_TIMEOUT_S = 3.0
 

@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 from pydantic import Field, model_validator
 
+from common.camera_config import CameraConfig
 from common.can_config import CanConfig
 from common.cell import SharedConfig
 from common.config import ConfigError, Frozen, digest, parse
@@ -25,6 +26,7 @@ from deploy.viewer.config import ViewerConfig
 from deploy.watchdog_config import WatchdogConfig
 from services.hand_io.config import HandIoConfig
 from services.learner.config import LearnerConfig
+from services.perception.config import PerceptionConfig
 from services.planner.config import PlannerConfig
 from services.sim.dexhand_physics import TwinPhysics
 from services.sim.emulator_config import EmulatorConfig
@@ -67,6 +69,8 @@ class Cell(SharedConfig):
     hand_io: HandIoConfig = HandIoConfig()
     emulator: EmulatorConfig = EmulatorConfig()
     twin: TwinPhysics = TwinPhysics()
+    camera: CameraConfig = CameraConfig()
+    perception: PerceptionConfig = PerceptionConfig()
     pose_source: PoseSource = Field(default=PoseSource.TWIN, description="who tells where the die is")
     machines: dict[str, Machine] = Field(default={}, description="empty: everything runs on one machine")
 
@@ -138,7 +142,7 @@ def _machine_problems(cell: Cell) -> Iterable[str]:
             yield f"machines: {name} is no service; choose from {' '.join(NAMES)}"
         elif counts[name] > 1 and name != WATCHDOG:
             yield f"machines: {name} runs on {counts[name]} machines; it must be on one"
-    wanted = processes_of(cell.plant)
+    wanted = processes_of(cell.plant, cell.pose_source)
     missing = [process.name for process in wanted if process.required and process.name not in counts]
     if machines and missing:
         yield f"machines: {' '.join(missing)} runs on no machine"
@@ -181,7 +185,7 @@ def _loopback(endpoint: str) -> str:
 
 def instances_of(cell: Cell, machine: str) -> tuple[str, ...]:
     """Name the processes of one machine in order of start. Raises ConfigError for an unknown machine."""
-    names = tuple(process.name for process in processes_of(cell.plant))
+    names = tuple(process.name for process in processes_of(cell.plant, cell.pose_source))
     if machine == ALL_LOCAL:
         return names
     if machine not in cell.machines:

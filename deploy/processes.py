@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from common.hand_messages import PoseSource
+
 PlantKind = Literal["sim", "twin", "hand"]
 
 
@@ -17,6 +19,7 @@ class Process:
     kind: Literal["bus", "plant", "method", "operator"]
     stop_wave: int  # all of one wave are stopped together, wave 0 first
     plants: tuple[PlantKind, ...] = ()  # runs in cells with one of these plants; empty: in all
+    pose_source: PoseSource | None = None  # and only if this one tells where the die is; None: whoever does
     sections: tuple[str, ...] = ()  # of the cell, beside those that every process has
     needs: tuple[str, ...] = (
         "router",
@@ -59,9 +62,36 @@ PROCESSES: tuple[Process, ...] = (
         sections=("can", "hand", "hand_io", "pose_source"),
         watchdog_restarts=False,
     ),
+    Process(
+        "camera",
+        "services.sim.twin_camera",
+        "plant",
+        stop_wave=2,
+        plants=("twin",),
+        pose_source=PoseSource.PERCEPTION,
+        sections=("hand", "camera", "twin"),
+        needs=("router", "emulator"),
+    ),
+    Process(
+        "perception",
+        "services.perception",
+        "plant",
+        stop_wave=1,
+        plants=("twin", "hand"),
+        pose_source=PoseSource.PERCEPTION,
+        sections=("perception", "camera"),
+        needs=("router", "camera"),
+    ),
     Process("planner", "services.planner", "method", stop_wave=0, sections=("planner",)),
     Process("learner", "services.learner", "method", stop_wave=0, sections=("model", "learner")),
-    Process("viewer", "deploy.viewer", "operator", stop_wave=2, sections=("viewer", "plant"), required=False),
+    Process(
+        "viewer",
+        "deploy.viewer",
+        "operator",
+        stop_wave=2,
+        sections=("viewer", "plant", "pose_source"),
+        required=False,
+    ),
     Process(
         "watchdog",
         "deploy.watchdog",
@@ -77,7 +107,15 @@ PROCESSES: tuple[Process, ...] = (
         "operator",
         stop_wave=0,
         sections=("curriculum",),
-        needs=("router", "sim", "emulator", "hand_io", "planner", "learner"),  # those that the cell has
+        needs=(
+            "router",
+            "sim",
+            "emulator",
+            "hand_io",
+            "perception",
+            "planner",
+            "learner",
+        ),  # those that the cell has
         warm_up_s=0,  # a run that is taken up again may be finished at once
         autorestart="on_error",
     ),
@@ -87,9 +125,13 @@ NAMES: tuple[str, ...] = tuple(process.name for process in PROCESSES)
 WATCHDOG = "watchdog"
 
 
-def processes_of(plant: str) -> tuple[Process, ...]:
-    """The rows of a cell with this plant, in order of start."""
-    return tuple(process for process in PROCESSES if not process.plants or plant in process.plants)
+def processes_of(plant: str, pose_source: PoseSource = PoseSource.TWIN) -> tuple[Process, ...]:
+    """The rows of a cell with this plant and this teller of the die's pose, in order of start."""
+    return tuple(
+        process
+        for process in PROCESSES
+        if (not process.plants or plant in process.plants) and process.pose_source in (None, pose_source)
+    )
 
 
 def process_of(instance: str) -> Process:

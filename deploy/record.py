@@ -16,7 +16,7 @@ from common.codec import Codec, Refused
 from common.config import ConfigError, parse, read_yaml
 from common.messages import Sample
 from common.topics import topic_of
-from deploy.viewer.dashboard import arrange
+from deploy.viewer.dashboard import Pages, arrange
 from deploy.viewer.drawer import DRAWN, Drawer
 from deploy.viewer.recording import Recording, file_sink
 from services.sim.kinematics import SceneKinematics
@@ -43,7 +43,8 @@ def to_rrd(run_dir: Path, output: Path) -> Tally:
     recording = Recording(run_dir.name, file_sink(output), BATCH)
     kinematics = SceneKinematics(shared.task)
     driven = (run_dir / "config" / "hand_io.yaml").exists()
-    arrange(recording, kinematics, shared, ghost=True, driven=driven)
+    watched = (run_dir / "config" / "perception.yaml").exists()
+    arrange(recording, kinematics, shared, ghost=True, pages=Pages(driven, watched))
     drawer = Drawer(kinematics, shared.control.period_ns, ghost=True)
     for sample in unique_samples(merged(files), codec_for(shared.task), tally):
         recording.add(drawer.draw(sample))

@@ -61,22 +61,29 @@ class EpisodeTrace:
     def score(self, task: Task) -> Row:
         """Return the result: return over the states k = 1.., errors and successes at the end, and counts.
 
-        Without `return` if a step never arrived.
+        Without `return` if a step never arrived. A state with a part that nobody measured, such as a pose
+        of the die that perception does not claim, earns nothing: the others' mean reward stands for it, the
+        end is judged by the last whole state, and without one at the very end there is no success.
         """
         last = self._steps[self.k]
-        state, goal = last.state.astype(np.float64), last.goal.astype(np.float64)
         executed = [step for k, step in sorted(self._steps.items()) if k > 0]
+        seen = [step for step in executed if step.part_valid.all()]
+        end = seen[-1] if seen else last
+        state, goal = end.state.astype(np.float64), last.goal.astype(np.float64)
         missing = last.k + 1 - len(self._steps)
+        whole = bool(last.part_valid.all())
         errors = {f"error_{name}": _rounded(value) for name, value in task.errors(state, goal).items()}
-        successes = {name: bool(value) for name, value in task.successes(state, goal).items()}
+        successes = {name: bool(value) and whole for name, value in task.successes(state, goal).items()}
+        earned = _return(task, seen, len(executed))
         return {
             "steps": last.k,
-            **({} if missing else {"return": _rounded(sum(_reward(task, step) for step in executed))}),
+            **({} if missing or earned is None else {"return": earned}),
             **errors,
             **successes,
             **self._counts(executed),
             "dropped": any(step.dropped for step in self._steps.values()),
             "missing_steps": missing,
+            "unseen_steps": len(executed) - len(seen),
             "snapshot_id": self._snapshot_id(executed),
         }
 
@@ -100,6 +107,14 @@ class EpisodeTrace:
     def _snapshot_id(self, executed: list[Step]) -> str:
         known = [self._chunks[s.chunk_seq].snapshot_id for s in executed if s.chunk_seq in self._chunks]
         return known[-1] if known else ""
+
+
+def _return(task: Task, seen: list[Step], executed: int) -> float | None:
+    """Sum of the rewards, as if unseen states were worth the mean of those seen; None if there are none."""
+    total = sum(_reward(task, step) for step in seen)
+    if not seen:
+        return None if executed else _rounded(total)
+    return _rounded(total if len(seen) == executed else total * executed / len(seen))
 
 
 def _reward(task: Task, step: Step) -> float:

@@ -18,7 +18,9 @@ from deploy.viewer.service import ViewerService
 from deploy.watchdog import Watchdog
 from services.hand_io.service import HandIoService
 from services.learner.service import LearnerService
+from services.perception.service import PerceptionService
 from services.planner.service import PlannerService
+from services.sim.camera_service import CameraService
 from services.sim.emulator_service import EmulatorService
 from services.sim.service import SimService
 
@@ -27,6 +29,8 @@ READERS: Mapping[str, type[Service]] = types.MappingProxyType(
         "sim": SimService,
         "hand_io": HandIoService,
         "emulator": EmulatorService,
+        "camera": CameraService,
+        "perception": PerceptionService,
         "planner": PlannerService,
         "learner": LearnerService,
         "curriculum": CurriculumService,
@@ -35,7 +39,7 @@ READERS: Mapping[str, type[Service]] = types.MappingProxyType(
     }
 )
 _COMMENTED = re.compile(r"^    (\w+):.*?  # (.+)$", re.MULTILINE)
-_LETTERS = {"<f4": "float32", "|u1": "uint8"}
+_LETTERS = {"<f4": "float32", "<f8": "float64", "|u1": "uint8", "<u2": "uint16"}
 
 
 def topics() -> str:

@@ -7,6 +7,7 @@ from typing import Any
 import rerun.blueprint as rrb
 
 from common.task import DieTask, ReachTask, Task
+from deploy.viewer.camera_page import camera_page
 from deploy.viewer.curves import watched_of
 from deploy.viewer.hand_page import hand_page
 from deploy.viewer.others import holdout_path
@@ -19,14 +20,17 @@ EYE_M, LOOK_AT_M = (0.86, 0.67, 0.29), (1.0, 0.89, 0.17)
 DEXHAND_EYE_M, DEXHAND_LOOK_AT_M = (-0.06, -0.17, 0.42), (0.13, 0.0, 0.245)
 
 
-def dashboard(task: Task, driven: bool) -> rrb.Blueprint:
+def dashboard(task: Task, driven: bool, watched: bool = False) -> rrb.Blueprint:
     """One page for everything that the viewer draws for `task`, and for the DexHand one about the hand.
+
+    A hand that is `watched` by a camera has a page about that, too.
 
     A hand that is `driven` over a bus tells of itself between the steps too, so its axis is time.
     """
     top: Any = _learning_page(task)
     if isinstance(task, DieTask):
-        top = rrb.Tabs(hand_page(_scene(task), driven), top, active_tab=0)
+        camera = [camera_page(_scene(task))] if watched else []
+        top = rrb.Tabs(hand_page(_scene(task), driven), *camera, top, active_tab=0)
     bottom = rrb.Horizontal(_states(), _log(), column_shares=[5, 8])
     return rrb.Blueprint(
         rrb.Vertical(top, bottom, row_shares=[5, 1]),

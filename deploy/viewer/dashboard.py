@@ -6,6 +6,7 @@ import logging
 import socket
 import threading
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 from common.cell import SharedConfig
@@ -17,6 +18,7 @@ from deploy.viewer.control import GHOST
 from deploy.viewer.curves import LANES, curves_of
 from deploy.viewer.drawer import Drawer
 from deploy.viewer.hand_curves import HAND_LANE, force_arrows, hand_curves
+from deploy.viewer.perception import LANE, LANE_RGB, perception_curves
 from deploy.viewer.recording import Recording, file_sink, server_sink
 from deploy.viewer.web import WebPage
 from services.sim.kinematics import SceneKinematics
@@ -30,10 +32,13 @@ log = logging.getLogger(__name__)
 class Dashboard:
     """Draws samples to a file, to browsers, or both."""
 
-    def __init__(self, shared: SharedConfig, config: ViewerConfig, driven: bool = False) -> None:
+    def __init__(
+        self, shared: SharedConfig, config: ViewerConfig, driven: bool = False, watched: bool = False
+    ) -> None:
         self._shared = shared
         self._config = config
         self._driven = driven  # the hand is one on a bus
+        self._watched = watched  # by a camera
         self._lock = threading.Lock()  # `close` comes from another thread than `draw`
         self._drawer: Drawer | None = None
         self._recordings: list[Recording] = []
@@ -49,8 +54,9 @@ class Dashboard:
         with self._lock:
             kinematics = SceneKinematics(self._shared.task)
             self._begin_recordings()
+            pages = Pages(self._driven, self._watched)
             for recording in self._recordings:
-                arrange(recording, kinematics, self._shared, self._config.ghost, self._driven)
+                arrange(recording, kinematics, self._shared, self._config.ghost, pages)
             self._drawer = Drawer(kinematics, self._shared.control.period_ns, self._config.ghost)
 
     def _begin_recordings(self) -> None:
@@ -104,15 +110,23 @@ class Dashboard:
         self._drawer, self._page, self._recordings = None, None, []
 
 
+@dataclass(frozen=True)
+class Pages:
+    """What a cell has to show: a hand that is driven over a bus, and one that a camera watches."""
+
+    driven: bool
+    watched: bool
+
+
 def arrange(
-    recording: Recording, kinematics: SceneKinematics, shared: SharedConfig, ghost: bool, driven: bool
+    recording: Recording, kinematics: SceneKinematics, shared: SharedConfig, ghost: bool, pages: Pages
 ) -> None:
     """Put facts, layout, legends and meshes into a new recording."""
     facts = {"cell": shared.cell, "task": shared.task, "seed": str(shared.seed)}
     if shared.config_hash:
         facts["config_hash"] = shared.config_hash
     recording.describe(f"{shared.cell} {shared.run_dir.name}", facts)
-    recording.lay_out(dashboard(kinematics.task, driven))
+    recording.lay_out(dashboard(kinematics.task, pages.driven, pages.watched))
     recording.name_curves(curves_of(kinematics.task))
     for path, colours in LANES.items():
         recording.colour_states(path, colours)
@@ -121,6 +135,8 @@ def arrange(
         recording.name_curves(hand_curves())
         recording.colour_states("state/hand", HAND_LANE)
         recording.place_arrows(force_arrows())
+        recording.name_curves(perception_curves())
+        recording.colour_states(LANE, LANE_RGB)
 
 
 def next_path(run_dir: Path) -> Path:

@@ -6,15 +6,39 @@ from collections.abc import Iterable
 
 from common.hand_messages import HandJoints
 from common.messages import Chunk, Episode, Health, Message, Metrics, Sample, Step
-from common.topics import CHUNK, EPISODE, HAND_JOINTS, HEALTH, METRICS, STEP, Topic
+from common.topics import (
+    CAMERA_PREVIEW,
+    CHUNK,
+    EPISODE,
+    HAND_JOINTS,
+    HEALTH,
+    METRICS,
+    OBJECT_POSE,
+    POSE_TRACKING,
+    STEP,
+    TWIN_TRUTH,
+    Topic,
+)
 from deploy.viewer.control import ControlDrawer
 from deploy.viewer.drawing import Drawing, When
 from deploy.viewer.hand import HandDrawer
 from deploy.viewer.others import HealthDrawer, draw_episode, draw_metrics
+from deploy.viewer.perception import PerceptionDrawer
 from deploy.viewer.steps import StepCounter
 from services.sim.kinematics import SceneKinematics
 
-DRAWN: tuple[Topic, ...] = (EPISODE, CHUNK, METRICS, STEP, HEALTH, HAND_JOINTS)
+DRAWN: tuple[Topic, ...] = (
+    EPISODE,
+    CHUNK,
+    METRICS,
+    STEP,
+    HEALTH,
+    HAND_JOINTS,
+    CAMERA_PREVIEW,
+    POSE_TRACKING,
+    OBJECT_POSE,
+    TWIN_TRUTH,
+)
 
 
 class Drawer:
@@ -26,6 +50,7 @@ class Drawer:
         self._control = ControlDrawer(kinematics, self._steps, period_ns, ghost)
         self._health = HealthDrawer()
         self._hand = HandDrawer(self._task)
+        self._perception = PerceptionDrawer()
 
     def draw(self, sample: Sample) -> list[Drawing]:
         """What a sample shows; nothing for messages that are not drawn."""
@@ -42,10 +67,13 @@ class Drawer:
             case Metrics() as metrics:
                 return list(draw_metrics(self._task, metrics, now))
             case _:
-                return list(self._draw_state(sample.message, now))
+                return list(self._draw_state(sample, now))
 
-    def _draw_state(self, message: Message, now: When) -> Iterable[Drawing]:
+    def _draw_state(self, sample: Sample, now: When) -> Iterable[Drawing]:
         """What services and hardware say of themselves."""
+        message: Message = sample.message
         if isinstance(message, Health):
             return self._health.draw(message, now)
-        return self._hand.draw(message, now) if isinstance(message, HandJoints) else ()
+        if isinstance(message, HandJoints):
+            return self._hand.draw(message, now)
+        return self._perception.draw(sample, now)

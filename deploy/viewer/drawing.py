@@ -52,6 +52,20 @@ class Arrow:
 
 
 @dataclass(frozen=True)
+class Picture:
+    """A JPEG file."""
+
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Bars:
+    """A bar chart of values (n,)."""
+
+    values: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class State:
     """What something is from now on, until it is something else."""
 
@@ -66,7 +80,7 @@ class Event:
     level: Level = "INFO"
 
 
-Value = Scalars | Poses | Segments | Arrow | State | Event
+Value = Scalars | Poses | Segments | Arrow | Picture | Bars | State | Event
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,18 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from deploy.viewer.curves import TO_GOAL, Arrows, Curves, Rgb
-from deploy.viewer.drawing import Arrow, Drawing, Event, Poses, Scalars, Segments, State, When
+from deploy.viewer.drawing import (
+    Arrow,
+    Bars,
+    Drawing,
+    Event,
+    Picture,
+    Poses,
+    Scalars,
+    Segments,
+    State,
+    When,
+)
 from services.sim.scene import Scene, SceneMesh
 
 APPLICATION = "gc-pmpc"
@@ -152,6 +163,15 @@ def _arrow_columns(values: list[Arrow]) -> tuple[list[int], Any]:
     return [1] * len(values), rr.Arrows3D.columns(vectors=vectors, origins=origins)
 
 
+def _picture_columns(values: list[Picture]) -> tuple[list[int], Any]:
+    blobs = [value.data for value in values]
+    return [1] * len(values), rr.EncodedImage.columns(blob=blobs, media_type=["image/jpeg"] * len(values))
+
+
+def _bar_columns(values: list[Bars]) -> tuple[list[int], Any]:
+    return [1] * len(values), rr.BarChart.columns(values=[rr.TensorData(array=v.values) for v in values])
+
+
 def _state_columns(values: list[State]) -> tuple[list[int], Any]:
     return [1] * len(values), rr.StateChange.columns(state=[value.label for value in values])
 
@@ -166,6 +186,8 @@ _COLUMNS: dict[type, Callable[[Any], tuple[list[int], Any]]] = {
     Poses: _pose_columns,
     Segments: _segment_columns,
     Arrow: _arrow_columns,
+    Picture: _picture_columns,
+    Bars: _bar_columns,
     State: _state_columns,
     Event: _event_columns,
 }

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,11 +48,27 @@ class Fusion:
         self._task = task
         self._fresh = fresh
         self._state = np.concatenate([np.zeros(MOTORS + len(_TIPS), np.float32), _UNSEEN])
+        self.refused: Counter[str] = Counter()  # poses of the die, by reason
+
+    def accepts(self, header: Header, told: ObjectPose) -> bool:
+        """Whether a pose may be used; one that is refused is counted, and the one before stays in use."""
+        reason = self._objection(header, told)
+        if reason:
+            self.refused[reason] += 1
+        return not reason
+
+    def _objection(self, header: Header, told: ObjectPose) -> str:
+        if told.source is not self._fresh.pose_source:
+            return "source"
+        if not header.valid:
+            return "unclaimed"
+        good = told.quality >= self._fresh.pose_quality and bool(np.linalg.norm(told.rotation) > 0.5)
+        return "" if good else "quality"
 
     def see(
         self, now_ns: int, frame: HandFrame, pose: tuple[Header, ObjectPose] | None, goal: Float32
     ) -> Seen:
-        """What the hand shows at `now_ns`; `goal` (7,) is passed on."""
+        """What the hand shows at `now_ns`; `pose`: the newest accepted one; `goal` (7,) is passed on."""
         age_ms, valid = self._hand(now_ns, frame)
         pose_age_ms, pose_valid = self._pose(now_ns, pose)
         ages = np.concatenate([age_ms, np.full(7, pose_age_ms)])
@@ -83,11 +100,8 @@ class Fusion:
     def _pose(self, now_ns: int, pose: tuple[Header, ObjectPose] | None) -> tuple[float, bool]:
         if pose is None:
             return OLDEST_MS, False
-        header, told = pose
-        age_ms = min(max(0, now_ns - header.t_ns) / NS_PER_MS, OLDEST_MS)
-        known = header.valid and told.source is self._fresh.pose_source
-        good = told.quality >= self._fresh.pose_quality and bool(np.linalg.norm(told.rotation) > 0.5)
-        return age_ms, known and good and age_ms <= self._fresh.pose_ms
+        age_ms = min(max(0, now_ns - pose[0].t_ns) / NS_PER_MS, OLDEST_MS)
+        return age_ms, age_ms <= self._fresh.pose_ms
 
 
 def executed(frame: HandFrame) -> Float32 | None:

@@ -109,7 +109,7 @@ class HandIoService:
         Input(EPISODE, newest=True, wake=True),
         Input(CHUNK, wake=True),
         Input(ACK),
-        Input(OBJECT_POSE, newest=True),
+        Input(OBJECT_POSE),  # all of them: the newest may be one to refuse
         Input(HAND_FRAME, newest=True, wake=True),
         Input(ARM_REQUEST, wake=True),
     )
@@ -163,6 +163,7 @@ class HandIoService:
                 "board_age_ms_max": float(frame.age_ms.max()),
                 "rate_hz_min": float(frame.rate_hz.min()),
             }
+        fields |= {f"refused_poses_{reason}": float(n) for reason, n in self._fusion.refused.items()}
         armed = {"armed": float(self._arming.operational), "faults": float(self._arming.faults_seen)}
         return Report(self._words(), fields | armed)
 
@@ -190,7 +191,8 @@ class HandIoService:
             off = sample.message.drive is Drive.OFF and self._arming.operational
             self._off_frames = self._off_frames + 1 if off else 0
         for sample in inbox.take(OBJECT_POSE):
-            self._pose = sample.header, sample.message
+            if self._fusion.accepts(sample.header, sample.message):
+                self._pose = sample.header, sample.message
         for sample in inbox.take(ACK):
             self._loop.take_ack(sample.message)
         for sample in inbox.take(EPISODE):

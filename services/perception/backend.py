@@ -8,22 +8,13 @@ Letters: L 24 labellings, the rotations that map a cube onto itself (common.die.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from common.camera_messages import PoseState
 from services.perception.frames import Float64, Frame
-
-
-class PoseState(StrEnum):
-    """How far a pose can be trusted."""
-
-    SEARCHING = "searching"  # no pose yet
-    TRACKING = "tracking"
-    SUSPECT = "suspect"  # followed, but what is seen contradicts the pose or says too little
-    LOST = "lost"  # had one; searching again
 
 
 @dataclass(frozen=True)

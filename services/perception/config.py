@@ -50,6 +50,16 @@ class CubeConfig(Frozen):
     marker_m: float = Field(default=0.044, gt=0.0, description="side of a marker's black square")
 
 
+class Sam6dConfig(Frozen):
+    """A SAM-6D that somebody installed, for the mask of a search."""
+
+    python: Path = Field(default=Path("python3"), description="of its environment")
+    repository: Path = Field(default=Path("SAM-6D/SAM-6D"), description="the folder with its three parts")
+    templates: Path = Field(default=Path("templates"), description="42 views of the die that its Render made")
+    min_score: float = Field(default=0.4, ge=0.0, le=1.0, description="a mask below it is not used")
+    timeout_s: float = Field(default=120.0, gt=0.0, description="longest wait for a mask")
+
+
 class PerceptionConfig(Frozen):
     """Which camera is read, who finds the die in its pictures, and what is believed of that."""
 
@@ -58,6 +68,10 @@ class PerceptionConfig(Frozen):
         default=None, description="file of services.perception.calibrate; none: the emulated camera's place"
     )
     backend: Literal["aruco"] = Field(default="aruco", description="who finds the die")
+    mask: Literal["reach", "sam6d"] = Field(
+        default="reach", description="where a search looks: within the hand's reach, or where SAM-6D says"
+    )
+    sam6d: Sam6dConfig = Sam6dConfig()
     aruco: CubeConfig = CubeConfig()
     die: str = Field(default="white", description="which of common.dice")
     screen: ScreenConfig = ScreenConfig()

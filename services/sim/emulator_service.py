@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from common.bus import Inbox, Input
+from common.camera_messages import TwinTruth
 from common.hand_messages import ObjectPose, PoseSource, TwinCommand, TwinFrame
 from common.messages import Float32, Mode
 from common.service import Output, Publish, Report, ToPort
-from common.topics import EPISODE, OBJECT_POSE, TWIN_COMMAND, TWIN_FRAME
+from common.topics import EPISODE, OBJECT_POSE, TWIN_COMMAND, TWIN_FRAME, TWIN_TRUTH
 from services.sim.emulator_config import EmulatorProcess
 
 NS_PER_S = 1e9
@@ -53,7 +54,7 @@ class EmulatorService:
         self._frame = frame
         if not frame.holding and self._wanted_ns is None:
             self._wanted_ns = now_ns
-        out: list[Output] = [self._pose(frame)] if self._publishes else []
+        out: list[Output] = [self._pose(frame) if self._publishes else _truth(frame)]
         return [*out, ToPort("twin", TWIN_COMMAND, TwinCommand(True))] if self._lays(now_ns, frame) else out
 
     def _lays(self, now_ns: int, frame: TwinFrame) -> bool:
@@ -93,3 +94,8 @@ class EmulatorService:
         torque = int(frame.powered.sum())
         state = f"{torque} of 12 motors with torque, die {'in the hand' if frame.holding else 'not held'}"
         return Report(state, {**frame.counts, "laid": float(self._laid), "drops": float(self._drops)})
+
+
+def _truth(frame: TwinFrame) -> Output:
+    """For the camera that perception looks through."""
+    return Publish(TWIN_TRUTH, TwinTruth(frame.position, frame.rotation, frame.q_rad), t_ns=frame.t_ns)

@@ -18,7 +18,7 @@ from tests.samples import CODEC, HEALTH_0, METRICS_0, A, G, S, V, chunk, episode
 
 ALL = (*TOPICS, *PORTS)
 HEADER = Header(5, 6, 7, True)
-LENGTHS = {"S": S, "A": A, "G": G, "V": V}
+LENGTHS = {"S": S, "A": A, "G": G, "V": V, "Y": 2, "X": 3}  # one length within a message
 TEXTS = st.text(st.characters(exclude_categories=("Cs",)), max_size=20)
 
 
@@ -58,9 +58,10 @@ def axis_length(axis):
 
 
 def array(rule, shape):
-    if rule.dtype == "|u1":
-        return arrays(np.uint8, shape, elements=st.integers(0, int(rule.limit)))
-    return arrays(np.float32, shape, elements=st.floats(-rule.limit, rule.limit, width=32))
+    kind = np.dtype(rule.dtype)
+    if kind.kind == "u":
+        return arrays(kind, shape, elements=st.integers(0, min(int(rule.limit), np.iinfo(kind).max)))
+    return arrays(kind, shape, elements=st.floats(-rule.limit, rule.limit, width=8 * kind.itemsize))
 
 
 def messages(kind):

@@ -4,9 +4,10 @@ import dataclasses
 
 import pytest
 
-from common import hand_messages, messages, topics
+from common import camera_messages, hand_messages, messages, topics
 from common.topics import (
     ACK,
+    CAMERA_FRAME,
     CHUNK,
     EPISODE,
     HAND_JOINTS,
@@ -18,6 +19,7 @@ from common.topics import (
     SNAPSHOT,
     STEP,
     TOPICS,
+    TWIN_TRUTH,
     Priority,
     topic_of,
 )
@@ -25,7 +27,9 @@ from deploy.curriculum import CurriculumService
 from deploy.viewer.service import ViewerService
 from services.hand_io.service import HandIoService
 from services.learner.service import LearnerService
+from services.perception.service import PerceptionService
 from services.planner.service import PlannerService
+from services.sim.camera_service import CameraService
 from services.sim.emulator_service import EmulatorService
 from services.sim.service import SimService
 
@@ -33,6 +37,8 @@ SERVICES = (
     SimService,
     HandIoService,
     EmulatorService,
+    CameraService,
+    PerceptionService,
     PlannerService,
     LearnerService,
     CurriculumService,
@@ -85,7 +91,7 @@ def test_every_constant_stands_in_the_table_and_keys_and_messages_are_unique():
 def test_every_message_class_travels_on_some_topic():
     kinds = {
         kind
-        for module in (messages, hand_messages)
+        for module in (messages, hand_messages, camera_messages)
         for kind in vars(module).values()
         if dataclasses.is_dataclass(kind) and kind.__module__ == module.__name__
     }
@@ -110,8 +116,14 @@ def test_what_to_do_now_is_told_to_late_joiners():
     assert ACK.latched > 1 and ACK.recovered
 
 
-def test_everything_is_logged():
-    assert all(topic.logged for topic in (*TOPICS, *PORTS))
+def test_everything_but_pictures_is_logged():
+    unlogged = [topic.key for topic in (*TOPICS, *PORTS) if not topic.logged]
+    assert unlogged == ["camera/frame", "camera/preview"]
+
+
+def test_pictures_never_wait_in_line():
+    assert CAMERA_FRAME.ring <= 2 and CAMERA_FRAME.priority is Priority.BACKGROUND
+    assert readers(CAMERA_FRAME) == {"perception"} and readers(TWIN_TRUTH) >= {"camera"}
 
 
 def test_a_key_finds_its_row():

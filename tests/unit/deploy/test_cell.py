@@ -23,6 +23,8 @@ MODELS = {
     "sim": ("services.sim.build", "SimProcess"),
     "emulator": ("services.sim.emulator_config", "EmulatorProcess"),
     "hand_io": ("services.hand_io.config", "HandIoProcess"),
+    "camera": ("services.sim.twin_camera", "TwinCameraProcess"),
+    "perception": ("services.perception.config", "PerceptionProcess"),
     "planner": ("services.planner.build", "PlannerProcess"),
     "learner": ("services.learner.build", "LearnerProcess"),
     "viewer": ("deploy.viewer.build", "ViewerProcess"),
@@ -40,6 +42,7 @@ def test_shipped_cells_are_the_promised_ones() -> None:
     assert SHIPPED == [
         "block",
         "debug",
+        "dexhand_camera",
         "dexhand_twin",
         "die",
         "egg",
@@ -185,7 +188,10 @@ def test_process_of_knows_instances() -> None:
     ("overrides", "complaint"),
     [
         (["can.interface=socketcan", "can.channel=can0"], "an emulated hand has no place on socketcan"),
-        (["plant=hand", "can.interface=socketcan", "pose_source=camera"], "auto_arm: a hand that can hurt"),
+        (
+            ["plant=hand", "can.interface=socketcan", "pose_source=perception"],
+            "auto_arm: a hand that can hurt",
+        ),
         (["plant=hand"], "pose_source: only an emulated hand has a twin"),
         (["task=reach"], "task: reach is none for the DexHand 021"),
         (["can.interface=kvaser", "can.channel=first"], "channel of kvaser must be a number"),
@@ -203,7 +209,11 @@ def test_each_plant_brings_its_own_processes() -> None:
     assert names.index("emulator") < names.index("hand_io") < names.index("curriculum")
     real = load_cell(
         "dexhand_twin",
-        ["plant=hand", "can.interface=socketcan", "pose_source=camera", "hand_io.auto_arm=false"],
+        ["plant=hand", "can.interface=socketcan", "pose_source=perception", "hand_io.auto_arm=false"],
     )
     assert "emulator" not in instances_of(real, "local")
+    assert "camera" not in instances_of(real, "local") and "perception" in instances_of(real, "local")
+    assert not {"camera", "perception"} & set(names)
+    watched = load_cell("dexhand_camera")
+    assert {"camera", "perception", "emulator", "hand_io"} < set(instances_of(watched, "local"))
     assert "hand_io" not in process_config(twin, "watchdog")["watchdog"]["watches"]  # people arm it

@@ -53,7 +53,7 @@ def test_each_board_that_is_not_well_is_named(emulated):
 
 
 def test_no_adapter_is_one_line_with_advice(capsys):
-    overrides = ["--set", "can.interface=pcan", "--set", "plant=hand", "--set", "pose_source=camera"]
+    overrides = ["--set", "can.interface=pcan", "--set", "plant=hand", "--set", "pose_source=perception"]
     assert doctor.main(["can", "dexhand_twin", *overrides, "--set", "hand_io.auto_arm=false"]) == 1
     (line,) = capsys.readouterr().out.splitlines()
     assert line.startswith("FAIL  adapter") and "is it plugged in" in line

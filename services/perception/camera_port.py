@@ -1,0 +1,112 @@
+"""A camera of this machine, or a recording, as a device: a thread that reads it and delivers its pictures."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+
+from common.camera_messages import CameraFrame
+from common.clock import Clock, WallClock
+from common.messages import Message
+from common.topics import CAMERA_FRAME, Topic
+from services.perception.frames import Frame, FrameSource, Refusal
+
+READ_S = 0.2
+REOPEN_S = 1.0  # pause before a camera that is not there is looked for again
+Open = Callable[[], FrameSource]
+
+
+class CameraPort:
+    """Reads frames until it is closed; a camera that cannot be opened, or is unplugged, is tried again.
+
+    With `replayed`, capture times are moved to now, and kept as far apart as they were recorded.
+    """
+
+    name = "camera"
+
+    def __init__(self, open_source: Open, replayed: bool = False, clock: Clock | None = None) -> None:
+        self._open_source, self._replayed = open_source, replayed
+        self._clock = clock or WallClock()
+        self._deliver: Callable[[Topic, Message], None] = lambda _topic, _message: None
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="camera reader", daemon=True)
+        self._shift_ns: int | None = None
+        self.counts: Counter[str] = Counter()
+        self.last_error = ""
+
+    def open(self, deliver: Callable[[Topic, Message], None]) -> None:
+        """Begin to read."""
+        self._deliver = deliver
+        self._thread.start()
+
+    def write(self, message: Message) -> None:
+        """A camera takes no commands."""
+        raise TypeError(f"the camera takes no {type(message).__name__}")
+
+    def close(self) -> None:
+        """Let the camera go."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            try:
+                source = self._open_source()
+            except (ValueError, OSError, RuntimeError) as error:
+                self._note("unopened", str(error))
+                self._stop.wait(REOPEN_S)
+                continue
+            try:
+                self._read(source)
+            finally:
+                source.close()
+
+    def _read(self, source: FrameSource) -> None:
+        """Deliver what comes, until the source has nothing more to give."""
+        while not self._stop.is_set():
+            read = source.read(READ_S)
+            if isinstance(read, Frame):
+                self._pass_on(read)
+                continue
+            self._note(read.reason.value, read.message)
+            if read.reason is Refusal.ENDED:
+                self._shift_ns = None
+                self._stop.wait(REOPEN_S)
+                return
+
+    def _pass_on(self, frame: Frame) -> None:
+        shown = self._due(frame) if self._replayed else frame
+        if shown is not None:
+            self.counts["frames"] += 1
+            self._deliver(CAMERA_FRAME, message_of(shown))
+
+    def _due(self, frame: Frame) -> Frame | None:
+        """A recorded frame when its time has come, with that time."""
+        now_ns = self._clock.now_ns()
+        if self._shift_ns is None:
+            self._shift_ns = now_ns - frame.t_ns
+        due_ns = frame.t_ns + self._shift_ns
+        if self._stop.wait(max(0, due_ns - now_ns) / 1e9):
+            return None
+        colour_ns, depth_ns = frame.colour_time_ns + self._shift_ns, frame.depth_time_ns + self._shift_ns
+        return replace(frame, colour_time_ns=colour_ns, depth_time_ns=depth_ns)
+
+    def _note(self, name: str, message: str) -> None:
+        self.counts[name] += 1
+        self.last_error = message
+
+
+def message_of(frame: Frame) -> CameraFrame:
+    """A frame as it travels."""
+    return CameraFrame(
+        colour=frame.colour,
+        depth=frame.depth,
+        depth_unit_m=frame.depth_unit_m,
+        camera_matrix=frame.camera_matrix,
+        colour_time_ns=frame.colour_time_ns,
+        depth_time_ns=frame.depth_time_ns,
+        frame_number=frame.frame_number,
+    )
