@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -55,6 +57,36 @@ def test_an_episode_with_a_gap_has_no_return():
     row = scored(steps(skip=(2,)))
     assert "return" not in row and row["missing_steps"] == 1
     assert "error_mean_finger_m" in row
+
+
+def seen(*ks):
+    """An episode in which only the states of these k were measured in all parts."""
+    samples = steps()
+    blind = np.zeros_like(samples[0].message.part_valid)
+    return [
+        sample
+        if sample.message.k in ks
+        else replace(sample, message=replace(sample.message, part_valid=blind))
+        for sample in samples
+    ]
+
+
+def test_states_that_nobody_measured_earn_nothing_and_are_counted():
+    """The mean of the others stands for them: 2 of 4 seen."""
+    row = scored(seen(0, 1, 4))
+    states = [np.full(TASK.state_dim, np.float32(0.01 * k), np.float64) for k in (1, 4)]
+    earned = sum(float(TASK.env_reward(state, np.zeros(TASK.goal_dim))) for state in states)
+    assert row["return"] == pytest.approx(2 * earned, abs=1e-6)
+    assert row["unseen_steps"] == 2 and scored(steps())["unseen_steps"] == 0
+
+
+def test_an_end_that_nobody_measured_is_judged_by_the_last_whole_state_and_is_no_success():
+    row = scored(seen(0, 1, 2))
+    expected = TASK.errors(np.full(TASK.state_dim, np.float32(0.02), np.float64), np.zeros(TASK.goal_dim))
+    assert row["error_mean_finger_m"] == pytest.approx(float(expected["mean_finger_m"]), abs=1e-6)
+    assert row["success_paper"] is False and row["success_env"] is False
+    blind = scored(seen(0))
+    assert "return" not in blind and blind["unseen_steps"] == STEPS
 
 
 def test_late_is_beyond_the_commit_of_its_own_chunk():
