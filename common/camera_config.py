@@ -31,7 +31,7 @@ class CameraConfig(Frozen):
         default=(0.055, 0.0, 0.154), description="what it looks at, likewise"
     )
     rate_hz: float = Field(default=10.0, gt=0.0, le=60.0, description="pictures a second")
-    shadows: bool = Field(default=True, description="draw them; half of the time that a picture takes")
+    shadows: bool = Field(default=False, description="draw them: 48 ms of a core a picture instead of 19")
 
     @model_validator(mode="after")
     def _looks_somewhere(self) -> Self:
