@@ -7,7 +7,9 @@ import pytest
 
 from services.perception.frames import Frame, Refusal, Refused
 
-rs = pytest.importorskip("pyrealsense2", reason="the extra `realsense` or libusb-1.0-0 is not installed")
+rs = pytest.importorskip(
+    "pyrealsense2", exc_type=ImportError, reason="the extra `realsense` or libusb-1.0-0 is not installed"
+)
 from services.perception.realsense import RealsenseSource, Stream, playback  # noqa: E402
 
 WIDTH, HEIGHT = 64, 48
