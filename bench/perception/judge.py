@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,6 +99,7 @@ class Judged:
         """Where (N,) a pose is wrong by more than 10 deg or 10 mm."""
         return (self.rotation_deg > 10.0) | (self.translation_mm > 10.0)
 
+    @cached_property
     def surface_errors_mm(self) -> dict[str, Float64]:
         """ADD, ADD-S and MSSD of the frames with a pose."""
         points = metrics.surface_points(APPEARANCES[self.sequence.spec.appearance].die)

@@ -114,7 +114,7 @@ def _in_band(one: Judged, band: tuple[float, float]) -> NDArray[np.bool_]:
 def _surface(parts: list[tuple[Judged, NDArray[np.bool_]]]) -> dict[str, NDArray[np.float64]]:
     errors: dict[str, list[NDArray[np.float64]]] = {"add_mm": [], "add_s_mm": [], "mssd_mm": []}
     for one, chosen in parts:
-        for name, values in one.surface_errors_mm().items():
+        for name, values in one.surface_errors_mm.items():
             errors[name].append(values[chosen[one.posed]])
     return {name: np.concatenate(values or [np.zeros(0)]) for name, values in errors.items()}
 
