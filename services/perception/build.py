@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -14,19 +15,21 @@ from common.config import ConfigError, load
 from common.desk import Desk
 from common.dice import APPEARANCES
 from common.die import Die
+from common.die_file import read_die
 from common.service import Port
 from common.topics import RESET_REQUEST
+from services.perception import realsense
 from services.perception.backend import PoseBackend
 from services.perception.calibration import SAME_K_SHARE, Calibration
 from services.perception.camera_port import CameraPort
 from services.perception.config import PerceptionConfig, PerceptionProcess
 from services.perception.cube import CubeBackend
-from services.perception.frames import Float64, FrameSource
+from services.perception.frames import Float64
 from services.perception.palm_tag import PalmTag
 from services.perception.reach import Reach
 from services.perception.sam6d import Sam6dSegmenter
 from services.perception.service import PerceptionService
-from services.perception.sources import open_source
+from services.perception.sources import SDK_SUFFIXES, open_source
 from services.perception.worker import PoseWorker, Segment
 
 QUERY = "pose/reset"
@@ -50,7 +53,8 @@ def build(config: PerceptionProcess, boot_id: int) -> Built:
     desk = Desk("reset", boot_id, RESET_REQUEST, PoseResetReply, lambda why: PoseResetReply(False, "", why))
     ports: dict[str, Port] = {"reset": desk}
     if own.source.kind != "bus":
-        ports["camera"] = CameraPort(lambda: _opened(own), replayed=own.source.kind == "recording")
+        _check_sdk(own)
+        ports["camera"] = CameraPort(lambda: open_source(own.source), own.source.kind == "recording")
     return Built(service, ports, {QUERY: desk.answer})
 
 
@@ -62,16 +66,22 @@ def _segment(config: PerceptionProcess, die: Die, place: Place) -> Segment:
     return Reach(own.reach, place.T_palm_camera).mask
 
 
-def _opened(config: PerceptionConfig) -> FrameSource:
-    source = open_source(config.source)
-    assert source is not None
-    return source
+def _check_sdk(config: PerceptionConfig) -> None:
+    path = config.source.path
+    if config.source.kind == "realsense" or (path is not None and path.suffix in SDK_SUFFIXES):
+        try:
+            realsense.sdk()
+        except ImportError as error:
+            raise ConfigError([f"perception.source: {error}"]) from None
 
 
 def _die(name: str) -> Die:
-    if name not in APPEARANCES:
-        raise ConfigError([f"perception.die: no die {name}; there are {', '.join(APPEARANCES)}"])
-    return APPEARANCES[name].die
+    if name in APPEARANCES:
+        return APPEARANCES[name].die
+    if not Path(name).is_file():
+        known = ", ".join(APPEARANCES)
+        raise ConfigError([f"perception.die: {name} is neither a file nor one of {known}"])
+    return read_die(Path(name))
 
 
 def backend_of(config: PerceptionConfig, die: Die) -> PoseBackend:

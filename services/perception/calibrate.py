@@ -33,7 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         return options.command(options, load(RigConfig, options.rig))
-    except (ConfigError, CaptureError, SolveError, ValueError, OSError) as error:
+    except (ConfigError, CaptureError, SolveError, ValueError, OSError, RuntimeError, ImportError) as error:
         print(error, file=sys.stderr)
         return 2
 

@@ -15,6 +15,7 @@ from services.perception.frames import Frame, FrameSource, Refusal
 
 READ_S = 0.2
 REOPEN_S = 1.0  # pause before a camera that is not there is looked for again
+SILENT_READS = 15  # in a row, three seconds: it has been unplugged, and must be opened anew
 Open = Callable[[], FrameSource]
 
 
@@ -65,12 +66,15 @@ class CameraPort:
                 source.close()
 
     def _read(self, source: FrameSource) -> None:
-        """Deliver what comes, until the source has nothing more to give."""
-        while not self._stop.is_set():
+        """Deliver what comes, until the source has nothing more to give, or gives nothing any more."""
+        silent = 0
+        while not self._stop.is_set() and silent < SILENT_READS:
             read = source.read(READ_S)
             if isinstance(read, Frame):
+                silent = 0
                 self._pass_on(read)
                 continue
+            silent += read.reason is Refusal.TIMEOUT
             self._note(read.reason.value, read.message)
             if read.reason is Refusal.ENDED:
                 self._shift_ns = None

@@ -19,11 +19,18 @@ from services.perception.status import SilenceConfig
 class SourceConfig(Frozen):
     """A camera, or what stands in for one."""
 
-    kind: Literal["bus", "recording"] = Field(
-        default="bus", description="bus: camera/frame, from another process of the cell; recording: a folder"
+    kind: Literal["bus", "realsense", "recording"] = Field(
+        default="bus",
+        description="bus: camera/frame, of an emulated hand; realsense: a camera of this machine; recording",
     )
-    folder: Path | None = Field(default=None, description="of the recording")
-    repeat: bool = Field(default=False, description="begin the recording again at its end")
+    path: Path | None = Field(
+        default=None, description="of the recording: a folder, or a .bag or .db3 of the RealSense SDK"
+    )
+    repeat: bool = Field(default=False, description="begin a folder's recording again at its end")
+    serial: str = Field(default="", description="which RealSense; empty: the first one found")
+    width: int = Field(default=640, gt=0, description="px, of a RealSense")
+    height: int = Field(default=480, gt=0, description="px")
+    rate_hz: int = Field(default=60, gt=0, description="pictures a second; its modes know 30 and 60")
 
 
 class ReachConfig(Frozen):
@@ -73,7 +80,9 @@ class PerceptionConfig(Frozen):
     )
     sam6d: Sam6dConfig = Sam6dConfig()
     aruco: CubeConfig = CubeConfig()
-    die: str = Field(default="white", description="which of common.dice")
+    die: str = Field(
+        default="white", description="a name in common.dice, or a file of services.perception.onboard"
+    )
     screen: ScreenConfig = ScreenConfig()
     silence: SilenceConfig = SilenceConfig()
     filter: FilterConfig = FilterConfig()

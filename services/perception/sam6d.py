@@ -14,12 +14,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from common.die import Die
 from services.perception.config import Sam6dConfig
 from services.perception.frames import Frame
+from services.perception.mesh_file import textured_mesh
 from services.perception.rle import mask_of
 
 _MM = 1000.0  # it counts in millimetres, meshes too
@@ -34,8 +34,7 @@ class Sam6dSegmenter:
         self._config, self._folder = config, folder
         self._result = folder / "sam6d_results" / "detection_ism.json"
         folder.mkdir(parents=True, exist_ok=True)
-        shape = die.mesh()
-        trimesh.Trimesh(_MM * shape.vertices, shape.triangles, process=False).export(folder / "die.ply")
+        textured_mesh(die, _MM).export(folder / "die.ply")
 
     def mask(self, frame: Frame) -> NDArray[np.bool_] | str:
         """The best mask (H, W); or in a few words why there is none. Never an older picture's."""
