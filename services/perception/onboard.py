@@ -18,8 +18,8 @@ from common.config import ConfigError
 from common.die import DIE, Die, Rgb
 from common.die_file import write_die
 from services.perception.face_fit import FaceFit, fit_face
-from services.perception.frames import Refusal, Refused
-from services.perception.recording import Player
+from services.perception.frames import FrameSource, Refusal, Refused
+from services.perception.sources import source_at
 
 _PATIENCE = 50  # frames without a face
 
@@ -49,12 +49,16 @@ def main(arguments: list[str] | None = None) -> int:
     """Fit and write; 0: done, 1: too little was seen, 2: the source cannot be read."""
     options = _parser().parse_args(arguments)
     try:
-        faces = _watch(Player(options.source), options.size_mm / 1e3, options.faces)
+        source = source_at(options.source)
+        try:
+            faces = _watch(source, options.size_mm / 1e3, options.faces)
+        finally:
+            source.close()
         die = combine(faces, options.size_mm / 1e3, options.corner_mm / 1e3)
     except OnboardError as error:
         print(error, file=sys.stderr)
         return 1
-    except (ConfigError, ValueError, OSError) as error:
+    except (ConfigError, ImportError, OSError, RuntimeError, ValueError) as error:
         print(error, file=sys.stderr)
         return 2
     write_die(options.out, die)
@@ -63,7 +67,7 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _watch(source: Player, size_m: float, wanted: int) -> list[FaceFit]:
+def _watch(source: FrameSource, size_m: float, wanted: int) -> list[FaceFit]:
     """Faces of as many frames as wanted. Raises OnboardError where none is to be seen."""
     faces: list[FaceFit] = []
     without = 0
@@ -92,7 +96,7 @@ def _median(colours: Sequence[Rgb]) -> Rgb:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="services.perception.onboard", description=__doc__)
-    parser.add_argument("--source", type=Path, required=True, help="folder of a camera recording")
+    parser.add_argument("--source", type=Path, required=True, help="a recording, or a source's YAML")
     parser.add_argument("--out", type=Path, required=True, help="YAML file to write")
     parser.add_argument("--size-mm", type=float, required=True, help="edge of the die, measured")
     parser.add_argument("--corner-mm", type=float, default=1e3 * DIE.corner_radius_m, help="radius of edges")
