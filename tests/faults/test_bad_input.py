@@ -127,7 +127,7 @@ def bad_payloads():
 
 def test_all_of_them_are_bad_and_every_topic_with_a_reader_is_there():
     read = {spec.topic for service in READERS.values() for spec in service.inputs}
-    # The viewer also reads what only a driven hand, its twin and a camera send; they are no part of this cell.
+    # The viewer also reads what only a driven hand, its twin and a camera send: no part of this cell.
     elsewhere = {HAND_JOINTS, OBJECT_POSE, CAMERA_PREVIEW, POSE_TRACKING, TWIN_TRUTH}
     assert {topic for topic in read if not topic.key.startswith("port/")} == {*TOPICS, *elsewhere}
     kinds = Counter()
