@@ -109,9 +109,22 @@ class Recording:
             grouped.setdefault((drawing.path, type(drawing.value), size), []).append(drawing)
         self._pending = []
         for (path, kind, _), group in grouped.items():
+            if kind is Bars:
+                self._log_bars(path, group)
+                continue
             repeats, columns = _COLUMNS[kind]([drawing.value for drawing in group])
             indexes = _times([drawing.when for drawing in group], repeats)
             self._stream.send_columns(path, indexes=indexes, columns=columns)
+
+    def _log_bars(self, path: str, group: list[Drawing]) -> None:
+        """One call for each: Rerun takes no columns of tensors."""
+        for drawing in group:
+            assert isinstance(drawing.value, Bars)
+            self._stream.set_time("step", sequence=drawing.when.step)
+            self._stream.set_time("time", timestamp=np.datetime64(drawing.when.t_ns, "ns"))
+            self._stream.set_time("episode", sequence=drawing.when.episode)
+            self._stream.log(path, rr.BarChart(drawing.value.values))
+        self._stream.reset_time()
 
     def close(self, timeout_s: float) -> None:
         """Write what is left and end file or server. Raises RuntimeError after `timeout_s`."""
@@ -168,10 +181,6 @@ def _picture_columns(values: list[Picture]) -> tuple[list[int], Any]:
     return [1] * len(values), rr.EncodedImage.columns(blob=blobs, media_type=["image/jpeg"] * len(values))
 
 
-def _bar_columns(values: list[Bars]) -> tuple[list[int], Any]:
-    return [1] * len(values), rr.BarChart.columns(values=[rr.TensorData(array=v.values) for v in values])
-
-
 def _state_columns(values: list[State]) -> tuple[list[int], Any]:
     return [1] * len(values), rr.StateChange.columns(state=[value.label for value in values])
 
@@ -187,7 +196,6 @@ _COLUMNS: dict[type, Callable[[Any], tuple[list[int], Any]]] = {
     Segments: _segment_columns,
     Arrow: _arrow_columns,
     Picture: _picture_columns,
-    Bars: _bar_columns,
     State: _state_columns,
     Event: _event_columns,
 }

@@ -3,13 +3,17 @@
 import cv2
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 
 from common import geometry
 from common.camera_messages import CameraPreview, PoseState, PoseTracking, TwinTruth
+from common.cell import SharedConfig
 from common.hand_messages import ObjectPose, PoseSource
 from common.messages import Header, Sample
 from common.task import get_task
 from deploy.viewer.blueprint import dashboard
+from deploy.viewer.config import ViewerConfig
+from deploy.viewer.dashboard import Dashboard
 from deploy.viewer.drawing import Bars, Event, Picture, Scalars, State, When
 from deploy.viewer.perception import LANE, PerceptionDrawer, perception_curves
 from services.perception.overlay import jpeg
@@ -123,3 +127,18 @@ def test_only_a_watched_hand_has_the_page():
     with_page = [text for text in views(dashboard(die, True, True).root_container) if "perception/" in text]
     assert len(with_page) == 5
     assert not [text for text in views(dashboard(die, True).root_container) if "perception/" in text]
+
+
+def test_pictures_and_bars_can_be_read_back(tmp_path):
+    shared = SharedConfig(task="die", run_dir=tmp_path)
+    board = Dashboard(shared, ViewerConfig(serve=False), driven=True, watched=True)
+    board.open()
+    picture = jpeg(np.full((8, 8, 3), 200, np.uint8))
+    messages = [tracking(), CameraPreview(picture, picture), tracking()]
+    board.draw([Sample("key", Header(1, 1, 10**18 + n, True), m) for n, m in enumerate(messages)])
+    board.close()
+    rows = {"colour": 0, "labels": 0}
+    for name in rows:
+        for part in RrdReader(tmp_path / "recording-0.rrd").stream().filter(content=f"/perception/{name}"):
+            rows[name] += 0 if part.is_static else part.to_record_batch().num_rows
+    assert rows == {"colour": 1, "labels": 2}
