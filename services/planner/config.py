@@ -90,7 +90,8 @@ class PlannerConfig(Frozen):
 
     # Search over candidates.
     search: Literal["cem", "icem", "none"] = Field(
-        default="cem", description="cem: the paper's; icem: coloured noise, kept elites; none: gradient alone"
+        default="cem",
+        description="cem: the paper's; icem: coloured noise, kept elites; none: refinement alone",
     )
     candidates: int = Field(default=500, ge=1, description="N, in the first iteration")
     elites: int = Field(default=50, ge=1, description="best candidates that set mean and variance")
@@ -116,7 +117,7 @@ class PlannerConfig(Frozen):
     refine_sequences: int = Field(default=0, ge=0, description="sequences that are refined; 0: none")
     refine_steps: int = Field(default=0, ge=0, description="steps of refinement")
     refine_difference: float = Field(
-        default=0.02, gt=0.0, description="Gauss-Newton's finite difference, in normalised action"
+        default=0.02, gt=0.0, le=1.0, description="Gauss-Newton's finite difference, in normalised action"
     )
     refine_rate: float = Field(
         default=0.08, gt=0.0, description="Adam's first step, in normalised action; falls to zero"

@@ -183,10 +183,14 @@ class Mpc:
         found = self._search(problem, warm)
         if not self._config.refines:
             return found
-        refined = self._refine(problem, _best_first(found)[: self._config.refine_sequences])
-        return refined if refined.valid else found
+        refined = self._refined(problem, _best_first(found)[: self._config.refine_sequences])
+        if not refined.valid:
+            return found
+        # Those that were not refined stay elites for the next plan's warm start.
+        elites = torch.cat((refined.elites, found.elites[self._config.refine_sequences :]))
+        return Found(refined.best, elites, refined.scores, valid=True)
 
-    def _refine(self, problem: _Problem, start: Tensor) -> Found:
+    def _refined(self, problem: _Problem, start: Tensor) -> Found:
         config = self._config
         if config.refine == "adam":
             rate = config.refine_rate

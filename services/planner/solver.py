@@ -78,7 +78,7 @@ class Solver:
         config = self._config
         sampled = config.propagation == "sampled"
         model = particles(dynamics, pool, config.members, config.masks, sampled=sampled, device=config.device)
-        if config.refines:
+        if config.refines and config.refine == "adam":
             for layer in model.network.layers:
                 _ = layer.transposed  # made here, or the first plan would take longer
         return Prepared(snapshot.id, model)

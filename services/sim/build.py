@@ -22,7 +22,12 @@ class SimProcess(SharedConfig):
 
 
 def build(config: SimProcess, boot_id: int, head_start_s: float = 0.0) -> Built:
-    """Make the service and the simulated hand that it drives; `head_start_s` is for `HEAD_START_S`."""
+    """Make the service and the simulated hand that it drives, which waits `head_start_s` before it moves."""
     service = SimService(config, get_task(config.task), boot_id)
     plant = make_plant(config.task, config.control.rate_hz, config.twin)
     return Built(service, {"plant": PlantPort(plant, head_start_s)})
+
+
+def build_live(config: SimProcess, boot_id: int) -> Built:
+    """As `build`, for a process of its own."""
+    return build(config, boot_id, HEAD_START_S)

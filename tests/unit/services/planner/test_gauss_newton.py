@@ -60,11 +60,26 @@ def test_the_sum_of_norms_has_its_minimum_at_the_geometric_median():
 
 
 def test_it_is_never_worse_than_its_start():
+    # On the floor of a sharp valley the slope that differences show leads up the other wall.
     start = torch.full(SHAPE, 0.3)
-    found = refined(lambda points: [points.flatten(1) - start.flatten()], start=start)
-    assert found.valid
+
+    def residuals(points: Tensor) -> list[Tensor]:
+        return [1.0 + 10.0 * (points - start).abs().flatten(1).sum(1, keepdim=True)]
+
+    found = refined(residuals, start=start)
     assert torch.equal(found.best, start)
-    assert float(found.scores[0]) == 0.0
+    assert float(found.scores[0]) == -1.0
+
+
+def test_it_ends_at_once_where_nothing_is_better():
+    seen: list[int] = []
+
+    def residuals(points: Tensor) -> list[Tensor]:
+        seen.append(len(points))
+        return [points.flatten(1) + 0.0]
+
+    assert torch.equal(refined(residuals, steps=5).best, ZERO)
+    assert sum(seen) == 2 * 7 + 8  # score and residuals of the point and its neighbours, score of the trials
 
 
 def test_a_start_without_a_finite_score_says_so():
@@ -73,15 +88,31 @@ def test_a_start_without_a_finite_score_says_so():
     assert torch.equal(found.best, ZERO)
 
 
-def test_a_coordinate_whose_neighbour_diverges_is_left_alone():
+def test_a_start_that_diverges_gives_way_to_a_neighbour_that_does_not():
+    def residuals(points: Tensor) -> list[Tensor]:
+        flat = points.flatten(1)
+        return [torch.where(flat[:, :1] <= 0.0, math.nan, flat - 0.5)]
+
+    found = refined(residuals, steps=4)
+    assert found.valid
+    assert float(found.best.flatten()[0]) == pytest.approx(0.02)  # the neighbour, whose own diverges again
+    assert (found.best.flatten()[1:] - 0.5).abs().max() < 0.01
+
+
+@pytest.mark.parametrize("residue", [math.nan, 1e25])
+def test_a_coordinate_whose_neighbour_diverges_is_left_alone(residue):
     optimum = torch.linspace(0.2, 0.7, 6)
 
     def residuals(points: Tensor) -> list[Tensor]:
         flat = points.flatten(1)
-        broken = torch.where(flat[:, :1].abs() > 0.0, math.nan, 0.0)
-        return [flat - optimum + broken]
+        return [torch.where(flat[:, :1].abs() > 0.0, residue, flat - optimum)]
 
-    found = refined(residuals, steps=2)
+    def score(points: Tensor) -> Tensor:
+        (residual,) = residuals(points)
+        norm = residual.norm(dim=-1)
+        return torch.where(norm < 1e3, -norm, -math.inf)
+
+    found = gauss_newton(score, lambda points: (score(points), residuals(points)), ZERO, 2, 0.02)
     assert float(found.best.flatten()[0]) == 0.0
     assert (found.best.flatten()[1:] - optimum[1:]).abs().max() < 0.01
 

@@ -5,8 +5,10 @@ import logging
 import numpy as np
 import pytest
 
+from common.messages import PlantCommand
 from common.task import TASKS, get_task
 from services.sim import plant as plant_module
+from services.sim.build import HEAD_START_S, SimProcess, build, build_live
 from services.sim.plant import ENV_IDS, ShadowHandPlant
 
 plants = pytest.mark.parametrize("name", ENV_IDS)
@@ -192,3 +194,14 @@ def test_mujoco_warnings_go_to_the_log_and_leave_no_file(make, tmp_path, monkeyp
         plant.step(np.zeros(20))
     assert caplog.records
     assert not list(tmp_path.iterdir())
+
+
+def test_live_the_state_gets_a_head_start_before_the_physics(monkeypatch):
+    waited = []
+    monkeypatch.setattr("services.sim.port.time.sleep", waited.append)
+    command = PlantCommand(True, 0, np.zeros(0, np.float32), np.zeros(20, np.float32))
+    for make in (build, build_live):
+        port = make(SimProcess(task="reach"), 1).ports["plant"]
+        port.open(lambda _topic, _message: None)
+        port.write(command)
+    assert waited == [0.0, HEAD_START_S]
