@@ -31,10 +31,9 @@ _CEM = (
     "planner.iterations=5",
     "planner.refine_steps=0",
 )
-_AS_PUBLISHED = (
+_WITHOUT_OURS = (
     "model.coordinates=raw",
     "learner.loss.beta_nll=0",
-    "learner.loss.second_step=true",
     "planner.stray_weight=0",
     "planner.sink_weight=0",
 )
@@ -55,7 +54,8 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "dpets": Method(
             "raw state, no normalisation, no variance penalty, no smoothing, CEM, synchronous",
             (
-                *_AS_PUBLISHED,
+                *_WITHOUT_OURS,
+                "learner.loss.second_step=true",
                 "model.normalise=false",
                 "model.targets=raw",
                 "learner.loss.variance_penalty=0",
@@ -67,7 +67,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "pets": Method(
             "raw state, one-step likelihood, no Dropout, sampled particles, CEM, synchronous",
             (
-                *_AS_PUBLISHED,
+                *_WITHOUT_OURS,
                 "model.dropout=0",
                 "learner.loss.second_step=false",
                 "learner.loss.variance_penalty=0",

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import median
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -131,25 +131,30 @@ class Setting:
         return lambda k: mpc.plan(self.states[k], self.goals[k], self.committed, left - k, generator)
 
 
+class _Timed(NamedTuple):
+    """One plan: its seconds, those in the model, and the products' floating-point operations."""
+
+    seconds: float
+    seconds_in_model: float
+    flops: int
+
+
 def measure(setting: Setting, plans: int) -> dict[str, object]:
     """The figures of `plans` plans, and the ceiling for the same products measured right after."""
     config = setting.config
     now = clock(config.device, config.threads)
     account = Account(_synchronised(now, config.device))
     plan = setting.planner(account)
-    timed = [_plan_seconds(plan, k, account) for k in range(_WARM_UP + plans)][_WARM_UP:]
-    seconds, in_model = [whole for whole, _ in timed], median(inside for _, inside in timed)
-    work = account.flops / (_WARM_UP + plans)
-    top = _ceiling(account, config)
-    ordered = sorted(seconds)
-    middle = ordered[len(ordered) // 2]
+    timed = [_timed_plan(plan, k, account) for k in range(_WARM_UP + plans)][_WARM_UP:]
+    seconds = sorted(each.seconds for each in timed)
+    top, middle = _ceiling(account, config), median(seconds)
     return {
-        "roofline_fraction": work / in_model / 1e9 / top.gflops,
-        "whole_plan_fraction": work / middle / 1e9 / top.gflops,
+        "roofline_fraction": median(each.flops / each.seconds_in_model for each in timed) / 1e9 / top.gflops,
+        "whole_plan_fraction": median(each.flops / each.seconds for each in timed) / 1e9 / top.gflops,
         "plans_per_s": 1.0 / middle,
         "plan_ms_p50": 1e3 * middle,
-        "plan_ms_p99": 1e3 * ordered[min(len(ordered) - 1, round(0.99 * len(ordered)))],
-        "gflop_per_plan": work / 1e9,
+        "plan_ms_p99": 1e3 * seconds[min(len(seconds) - 1, round(0.99 * len(seconds)))],
+        "gflop_per_plan": median(each.flops for each in timed) / 1e9,
         "ceiling_gflops": top.gflops,
         "speedup_vs_member_loop": _speedup(setting),
         "clock": now.__name__,
@@ -158,11 +163,10 @@ def measure(setting: Setting, plans: int) -> dict[str, object]:
     }
 
 
-def _plan_seconds(plan: Callable[[int], Plan], k: int, account: Account) -> tuple[float, float]:
-    """Seconds of the whole plan, and of the model within it."""
-    start, inside = account.now(), account.seconds
+def _timed_plan(plan: Callable[[int], Plan], k: int, account: Account) -> _Timed:
+    start, inside, work = account.now(), account.seconds, account.flops
     plan(k % _EPISODE_STEPS)
-    return account.now() - start, account.seconds - inside
+    return _Timed(account.now() - start, account.seconds - inside, account.flops - work)
 
 
 def _ceiling(account: Account, config: PlannerConfig) -> CeilingResult:

@@ -82,7 +82,7 @@ def angle(p: Array, q: Array) -> Array:
 def turn(p: Array, q: Array) -> Array:
     """Rotation vector (..., 3), rad, of the shortest turn from `p` to `q` (..., 4); its length is `angle`.
 
-    In the frame of `p`; smooth at equal rotations, unlike the angle.
+    In the frame of `p`; smooth at equal rotations, unlike the angle; jumps at half a circle.
     """
     return to_rotation_vector(multiply(conjugate(p), q))
 

@@ -50,23 +50,23 @@ def summary(run_dir: Path) -> list[str]:
 def timing(episodes: Sequence[Mapping[str, Any]], heard: Mapping[str, Heard]) -> list[str]:
     """Say how the planned steps of all sessions kept time, and what the services report of this one."""
     planned, late, held = (sum(int(row.get(key, 0)) for row in episodes) for key in COUNTS)
-    if planned == 0:
-        return []
-    share = f"{late} late ({late / planned:.1%}), {held} held ({held / planned:.1%})"
-    plant, planner, learner = (_reported(heard, name) for name in (PLANTS, ("planner",), ("learner",)))
-    missed = _reports(plant, missed_ticks=", {:.0f} missed ticks")
-    plans = _reports(planner, plan_ms_p50="; plans {:.0f} ms p50", plan_ms_p99=", {:.0f} p99")
-    updates = _reports(learner, updates="{:.0f} updates", updates_per_s=", {:.1f} a second")
-    lines = [f"{'planned steps':15}{planned}: {share}{missed}{plans}"]
-    return [*lines, f"{'training':15}{updates}"] if updates else lines
+    plant, planner, learner = (_fields_of(heard, names) for names in (PLANTS, ("planner",), ("learner",)))
+    session = (
+        *_phrases(plant, missed_ticks="{:.0f} missed ticks"),
+        *_phrases(planner, plan_ms_p50="plans {:.0f} ms p50", plan_ms_p99="{:.0f} p99"),
+        *_phrases(learner, updates="{:.0f} updates", updates_per_s="{:.1f} a second while training"),
+    )
+    shares = f"{late} late ({late / max(planned, 1):.1%}), {held} held ({held / max(planned, 1):.1%})"
+    lines = [f"{'planned steps':15}{planned}: {shares}"] if planned else []
+    return [*lines, f"{'this session':15}{', '.join(session)}"] if session else lines
 
 
-def _reported(heard: Mapping[str, Heard], names: Sequence[str]) -> Mapping[str, float]:
+def _fields_of(heard: Mapping[str, Heard], names: Sequence[str]) -> Mapping[str, float]:
     return next((heard[name].health.fields for name in names if name in heard), {})
 
 
-def _reports(fields: Mapping[str, float], **forms: str) -> str:
-    return "".join(form.format(fields[key]) for key, form in forms.items() if key in fields)
+def _phrases(fields: Mapping[str, float], **forms: str) -> list[str]:
+    return [form.format(fields[key]) for key, form in forms.items() if key in fields]
 
 
 def _line(label: str, values: list[str]) -> str:

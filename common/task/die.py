@@ -66,6 +66,15 @@ class DieTask(ManipulateTask):
         """Whether the die's centre is lower than the palm's frame plus `drop_height_m`: bool (...)."""
         return self._below(self.achieved(state))
 
+    def straying(self, state: Array) -> Array:
+        """How far (...), m, the die's centre is beyond `middle_radius_m` from the vertical of its start."""
+        xp, (right, _, along) = namespace(state), self._offset(state)
+        return xp.clip(xp.sqrt(right * right + along * along + 1e-12) - self.middle_radius_m, 0.0, None)
+
+    def sinking(self, state: Array) -> Array:
+        """How far (...), m, the die's centre is lower than at its start."""
+        return namespace(state).clip(-self._offset(state)[1], 0.0, None)
+
     def reward(self, state: Array, goal: Array) -> Array:
         """Eq. (2) of the state's pose, less the penalty where the die is dropped: (...)."""
         return self.pose_reward(self.achieved(state), goal)
@@ -132,6 +141,12 @@ class DieTask(ManipulateTask):
         hand = Hand.LEFT if self.hand is Hand.RIGHT else Hand.RIGHT
         up, start = (ux, -uy, uz), (x, -y, z)
         return replace(self, name=TASK_OF[hand], up=up, start_position=start, hand=hand)
+
+    def _offset(self, state: Array) -> tuple[Array, Array, Array]:
+        """From the start position (...), m: sidewards, up, and towards the fingertips."""
+        position, (ux, uy, _) = self.achieved(state), self.up
+        x, y, z = (position[..., i] - start for i, start in enumerate(self.start_position))
+        return ux * y - uy * x, ux * x + uy * y, z
 
     def _below(self, pose: Array) -> Array:
         ux, uy, uz = self.up

@@ -45,7 +45,7 @@ class ManipulateTask(Task):
         return xp.clip(xp.sqrt(x * x + y * y + 1e-12) - self.middle_radius_m, 0.0, None)
 
     def sinking(self, state: Array) -> Array:
-        """How far (...), m, the object's centre is below `held_height_m`: it is about to leave the hand."""
+        """How far (...), m, the object's centre is lower than `held_height_m`, where it rests."""
         xp = namespace(state)
         return xp.clip(self.held_height_m - state[..., self.group("object_position").stop - 1], 0.0, None)
 

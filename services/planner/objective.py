@@ -65,7 +65,10 @@ class Objective:
         return torch.where(sound, score, -math.inf)
 
     def residuals(self, start: Tensor, states: Tensor, goal: Tensor) -> tuple[Tensor, ...]:
-        """Vectors (..., N, R) whose norms add up to minus P times the mean return, events and terms aside."""
+        """Vectors (..., N, R) whose norms add up to minus P times the mean return.
+
+        Without what has no distance: events, terms, disagreement, and smoothing with the printed sign.
+        """
         parts = tuple(self.distances(states, goal))
         if self.smooth_weight <= 0.0:
             return parts

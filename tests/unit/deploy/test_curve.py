@@ -69,12 +69,13 @@ def test_timing_counts_all_sessions_and_quotes_the_services() -> None:
             ("learner", {"updates": 1300.0, "updates_per_s": 7.94}),
         ]
     }
+    told = "0 missed ticks, plans 15 ms p50, 30 p99, 1300 updates, 7.9 a second while training"
     assert timing(rows, heard) == [
-        "planned steps  200: 3 late (1.5%), 1 held (0.5%), 0 missed ticks; plans 15 ms p50, 30 p99",
-        "training       1300 updates, 7.9 a second",
+        "planned steps  200: 3 late (1.5%), 1 held (0.5%)",
+        f"this session   {told}",
     ]
     assert timing(rows, {}) == ["planned steps  200: 3 late (1.5%), 1 held (0.5%)"]
-    assert timing([], heard) == []
+    assert timing([], heard) == [f"this session   {told}"]
 
 
 def test_curve_is_drawn_once_something_was_planned(tmp_path: Path) -> None:

@@ -124,3 +124,15 @@ def test_a_goal_tells_its_face(task):
 def test_goals_are_drawn_evenly_from_the_papers_faces():
     faces = [TASK.face_of(TASK.draw_goal(np.random.default_rng(seed))) for seed in range(300)]
     assert {face: faces.count(face) > 70 for face in faces} == {2: True, 4: True, 5: True}
+
+
+@pytest.mark.parametrize("task", [TASK, TASK.mirrored()], ids=["right", "left"])
+def test_straying_and_sinking_are_measured_from_the_start_against_gravity(task):
+    state = np.zeros((4, task.state_dim))
+    pose = slice(task.state_dim - 7, task.state_dim)
+    state[:, pose] = (*task.start_position, *task.start_rotation)
+    state[1, pose.start : pose.start + 3] += 0.03 * np.array(task.up)
+    state[2, pose.start : pose.start + 3] -= 0.03 * np.array(task.up)
+    state[3, pose.start + 2] += 0.05
+    assert np.allclose(task.sinking(state), [0.0, 0.0, 0.03, 0.0], atol=1e-6)
+    assert np.allclose(task.straying(state), [0.0, 0.0, 0.0, 0.05 - task.middle_radius_m], atol=1e-5)
