@@ -17,6 +17,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import Progress
 
+from bench.agents import AgentCell, AgentModel, load_agent
 from bench.lockstep_run import WITHOUT_LEARNER, LockstepRun, Stalled, assemble
 from bench.methods import cell_of
 from bench.provenance import provenance
@@ -44,6 +45,11 @@ def configuration(run: Path, goals: int, seed: int, overrides: Iterable[str]) ->
     return cell_of(with_overrides(read_yaml(path), (*overrides, *own)), path.name, run)
 
 
+def load_model(cell: Cell, run: Path) -> Snapshot | AgentModel:
+    """Read what the run has learned last. Raises ConfigError when there is nothing."""
+    return load_agent(cell, run) if isinstance(cell, AgentCell) else load_snapshot(run)
+
+
 def load_snapshot(run: Path) -> Snapshot:
     """Read the run's newest model. Raises ConfigError when there is none."""
     path = run / SNAPSHOT_FILE
@@ -56,30 +62,34 @@ def load_snapshot(run: Path) -> Snapshot:
 
 
 def evaluate(
-    cell: Cell, snapshot: Snapshot, watch: Callable[[LockstepRun], None] = lambda _: None
+    cell: Cell, model: Snapshot | AgentModel, watch: Callable[[LockstepRun], None] = lambda _: None
 ) -> list[Row]:
     """Run the cell's held-out goals with this model; one row a goal. Raises Stalled."""
     with tempfile.TemporaryDirectory() as directory:
         alone = cell.model_copy(update={"run_dir": Path(directory)})
-        run = assemble(alone, WITHOUT_LEARNER, snapshot=snapshot)
+        if isinstance(model, AgentModel):
+            run = assemble(alone, agent=model)
+        else:
+            run = assemble(alone, WITHOUT_LEARNER, snapshot=model)
         run.drive(lambda: watch(run))
         return read_rows(Path(directory))
 
 
-def result(cell: Cell, snapshot: Snapshot, rows: list[Row], wall_s: float) -> dict[str, Any]:
+def result(cell: Cell, model: Snapshot | AgentModel, rows: list[Row], wall_s: float) -> dict[str, Any]:
     """Put the result together with everything that it depends on."""
+    method = {"agent": cell.agent} if isinstance(cell, AgentCell) else {}
     return {
         "task": cell.task,
         "training_seed": cell.seed,
-        "snapshot_id": snapshot.id,
-        "episodes_seen": snapshot.meta.episodes,  # warm-up included
+        "snapshot_id": model.id,
+        "episodes_seen": model.episodes if isinstance(model, AgentModel) else model.meta.episodes,
         "goal_seeds": [rows[0]["episode_seed"], rows[-1]["episode_seed"]],
         **result_of(rows),
         "late_share": share(rows, "late"),
         "held_share": share(rows, "held"),
         "dropped": sum(row["dropped"] for row in rows),
         "control": cell.control.model_dump(mode="json"),
-        "planner": cell.planner.model_dump(mode="json"),
+        **(method or {"planner": cell.planner.model_dump(mode="json")}),
         "config_hash": cell.config_hash,
         "wall_s": round(wall_s, 1),
         **provenance(),
@@ -108,13 +118,13 @@ def main() -> None:
     begun_s = time.monotonic()
     try:
         cell = configuration(arguments.run, arguments.goals, arguments.seed, arguments.overrides)
-        snapshot = load_snapshot(arguments.run)
+        model = load_model(cell, arguments.run)
         with Progress(console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
             bar_id = bar.add_task("evaluating", total=arguments.goals)
-            rows = evaluate(cell, snapshot, lambda run: _show(bar, bar_id, run))
+            rows = evaluate(cell, model, lambda run: _show(bar, bar_id, run))
     except (ConfigError, Stalled) as error:
         sys.exit(f"bench.evaluate: {error}")
-    found = result(cell, snapshot, rows, time.monotonic() - begun_s)
+    found = result(cell, model, rows, time.monotonic() - begun_s)
     if arguments.rows:
         text = "".join(json.dumps(row) + "\n" for row in rows)
         arguments.rows.write_text(text, encoding="utf-8")

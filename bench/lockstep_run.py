@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bench import agents
+from bench.agents import AgentCell, AgentModel
 from common.built import Built, codec_for
 from common.bus import LocalBus
 from common.buslog import BusLog
@@ -29,6 +31,7 @@ from services.sim import build as sim
 # disk before the long work of learning from it begins.
 SERVICES = ("sim", "planner", "curriculum", "learner")
 WITHOUT_LEARNER = ("sim", "planner", "curriculum")
+WITH_AGENT = ("sim", "curriculum", "agent")
 
 FOREVER_NS = 2**62
 STALLED_NS = 1800 * 10**9  # virtual time without a new step after which nothing is going to happen
@@ -96,24 +99,28 @@ class _Guard:
 
 def assemble(
     cell: Cell,
-    names: Iterable[str] = SERVICES,
+    names: Iterable[str] | None = None,
     *,
     labels: Mapping[str, Any] | None = None,
     log_dir: Path | None = None,
     snapshot: Snapshot | None = None,
+    agent: AgentModel | None = None,
     start_ns: int = 0,
 ) -> LockstepRun:
-    """Build the named services on one bus and clock.
+    """Build the named services, by default all that the cell needs, on one bus and clock.
 
-    `labels` stand in every row of episodes.jsonl, `log_dir` receives the bus log of each service, and
-    `snapshot` takes the learner's place. Raises ConfigError if the run directory is another run's.
+    `labels` stand in every row of episodes.jsonl, `log_dir` receives the bus log of each service, `snapshot`
+    takes the learner's place, and `agent` acts without learning. Raises ConfigError if the run directory is
+    another run's.
     """
+    if names is None:
+        names = WITH_AGENT if isinstance(cell, AgentCell) else SERVICES
     bus, codec = LocalBus(), codec_for(cell.task)
     if snapshot is not None:
         _publish(bus, codec_for(cell.task).encode, snapshot, boot_id(cell.seed, "learner"))
     dispatchers: list[Dispatcher] = []
     for name in names:
-        built = _build(cell, name, labels or {})
+        built = _build_agent(cell, agent) if name == "agent" else _build(cell, name, labels or {})
         log = None if log_dir is None else _log(cell, name, log_dir)
         dispatchers.append(Dispatcher(built.service, codec, bus, built.ports, log))
     run = Lockstep(dispatchers, VirtualClock(start_ns))
@@ -136,6 +143,11 @@ def _build(cell: Cell, name: str, labels: Mapping[str, Any]) -> Built:
     if name == "learner":
         return learner.build(learner.LearnerProcess.model_validate(data), boot)
     return curriculum.build(CurriculumProcess.model_validate(data), boot, labels)
+
+
+def _build_agent(cell: Cell, agent: AgentModel | None) -> Built:
+    assert isinstance(cell, AgentCell)
+    return agents.build(cell, boot_id(cell.seed, "agent"), agent)
 
 
 def _log(cell: Cell, name: str, directory: Path) -> BusLog:

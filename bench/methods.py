@@ -8,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from bench.agents import agent_cell
 from common.config import ConfigError, parse
 from deploy.cell import Cell, method_problems
 from deploy.cell_files import find_cell, read_cell
@@ -19,7 +20,11 @@ class Method:
 
     about: str
     overrides: tuple[str, ...] = ()
+    agent: bool = False  # one of bench.agents, in place of planner and learner
 
+
+# An agent decides while the plant stands still, so x is 1: an advantage over the asynchronous methods.
+_AGENT = ("control.synchronous=true", "control.steps_per_plan=1")
 
 # PETS and DPETS keep the cell's networks, warm-up, horizon and knots, so that what differs is the method:
 # their planner is CEM, here of 200 x 5 candidates. Both plan synchronously, as published: in lock-step the
@@ -94,6 +99,10 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "average": Method(
             "particles averaged at each step (Eq. 1 as printed)", ("planner.propagation=average",)
         ),
+        "sac": Method("soft actor-critic, model-free", _AGENT, agent=True),
+        "ddpg_her": Method("DDPG with hindsight experience replay, model-free", _AGENT, agent=True),
+        "td7": Method("TD3 with state-action embeddings, model-free", _AGENT, agent=True),
+        "tdmpc": Method("latent model with value and policy, planned by MPPI", _AGENT, agent=True),
     }
 )
 
@@ -106,7 +115,10 @@ def configure(cell: str, method: str, overrides: Iterable[str], run_dir: Path) -
     if method not in METHODS:
         raise ConfigError([f"{method}: no such method; choose one of {', '.join(METHODS)}"])
     path = find_cell(cell)
-    return cell_of(read_cell(path, (*METHODS[method].overrides, *overrides)), path.name, run_dir)
+    data = read_cell(path, (*METHODS[method].overrides, *overrides))
+    if METHODS[method].agent:
+        data["agent_method"] = method
+    return cell_of(data, path.name, run_dir)
 
 
 def cell_of(data: dict[str, Any], source: str, run_dir: Path) -> Cell:
@@ -114,7 +126,8 @@ def cell_of(data: dict[str, Any], source: str, run_dir: Path) -> Cell:
     control = data.get("control")
     control = dict(control) if isinstance(control, dict) else {}
     synchronous = bool(control.pop("synchronous", False))
-    cell = parse(Cell, {**data, "control": control, "config_hash": ""}, source)
+    data = {**data, "control": control, "config_hash": ""}
+    cell = agent_cell(data, source) if "agent_method" in data else parse(Cell, data, source)
     problems = [f"{source}: {problem}" for problem in method_problems(cell)]
     if problems:
         raise ConfigError(problems)

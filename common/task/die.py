@@ -77,7 +77,7 @@ class DieTask(ManipulateTask):
 
     def reward(self, state: Array, goal: Array) -> Array:
         """Eq. (2) of the state's pose, less the penalty where the die is dropped: (...)."""
-        return self.pose_reward(self.achieved(state), goal)
+        return self.env_reward(state, goal)  # the real hand's environment has no other
 
     def residuals(self, state: Array, goal: Array) -> tuple[Array, ...]:
         """The weighted offset (..., 3) and the turn that is left (..., 3), rad: Eq. (2) without the drop."""
@@ -85,16 +85,12 @@ class DieTask(ManipulateTask):
         turn = geometry.turn(pose[..., 3:], goal[..., 3:])
         return self.position_weight * (pose[..., :3] - goal[..., :3]), turn
 
-    def env_reward(self, state: Array, goal: Array) -> Array:
-        """The same (...): the real hand's environment has no other."""
-        return self.reward(state, goal)
-
-    def pose_reward(self, pose: Array, goal: Array) -> Array:
+    def compute_reward(self, achieved: Array, goal: Array) -> Array:
         """-(0.1·‖p - p*‖ + 2·arccos|⟨q, q*⟩|), p in m, and 2 less when dropped: (...) of poses (..., 7)."""
-        xp = namespace(pose)
-        distance = xp.linalg.vector_norm(pose[..., :3] - goal[..., :3], axis=-1)
-        rotation = geometry.angle(pose[..., 3:], goal[..., 3:])
-        penalty = xp.where(self._below(pose), self.drop_penalty, 0.0)
+        xp = namespace(achieved)
+        distance = xp.linalg.vector_norm(achieved[..., :3] - goal[..., :3], axis=-1)
+        rotation = geometry.angle(achieved[..., 3:], goal[..., 3:])
+        penalty = xp.where(self._below(achieved), self.drop_penalty, 0.0)
         return -(self.position_weight * distance + rotation) - penalty
 
     def errors(self, state: Array, goal: Array) -> dict[str, Array]:

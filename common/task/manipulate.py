@@ -68,12 +68,13 @@ class ManipulateTask(Task):
         position = state[..., self.group("object_position").slice]
         return self.position_weight * (position - goal[..., :3]), turn
 
-    def env_reward(self, state: Array, goal: Array) -> Array:
-        """The environment's -(10·d_pos + d_rot) (...), with d_rot signed in [0, 2π]."""
-        rotation = geometry.signed_angle(self._rotation(state), goal[..., 3:])
+    def compute_reward(self, achieved: Array, goal: Array) -> Array:
+        """The environment's -(10·d_pos + d_rot) (...) of a pose (..., 7), with d_rot signed in [0, 2π]."""
+        rotation = geometry.signed_angle(achieved[..., 3:], goal[..., 3:])
         if not self.position_counts:
             return -rotation
-        return -(self.env_position_weight * self._position_error(state, goal) + rotation)
+        distance = namespace(achieved).linalg.vector_norm(achieved[..., :3] - goal[..., :3], axis=-1)
+        return -(self.env_position_weight * distance + rotation)
 
     def errors(self, state: Array, goal: Array) -> dict[str, Array]:
         """Distance (m), shortest angle (rad) and the environment's signed angle (rad), each (...)."""

@@ -26,15 +26,15 @@ class ReachTask(Task):
 
     def reward(self, state: Array, goal: Array) -> Array:
         """-‖tips - goal‖₂ over the 15 dimensions (...), m."""
-        return -namespace(state).linalg.vector_norm(self.achieved(state) - goal, axis=-1)
+        return self.env_reward(state, goal)
 
     def residuals(self, state: Array, goal: Array) -> tuple[Array, ...]:
         """The fingertips' offsets from the goal (..., 15), m."""
         return (self.achieved(state) - goal,)
 
-    def env_reward(self, state: Array, goal: Array) -> Array:
-        """The environment's dense reward (...), which for this task is also the planner's."""
-        return self.reward(state, goal)
+    def compute_reward(self, achieved: Array, goal: Array) -> Array:
+        """The same (...) of fingertips `achieved` (..., 15): the environment's reward is the planner's."""
+        return -namespace(achieved).linalg.vector_norm(achieved - goal, axis=-1)
 
     def finger_errors_m(self, state: Array, goal: Array) -> Array:
         """Distance of each fingertip to its goal (..., 5), m."""

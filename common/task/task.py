@@ -86,8 +86,12 @@ class Task(ABC):
         """Vectors (..., R) whose norms add up to minus the reward, penalties for events aside."""
 
     @abstractmethod
+    def compute_reward(self, achieved: Array, goal: Array) -> Array:
+        """The dense reward (...) of attaining `achieved` (..., G), exactly as the environment's function."""
+
     def env_reward(self, state: Array, goal: Array) -> Array:
-        """The dense reward (...) exactly as the environment's compute_reward gives it."""
+        """The environment's reward (...) in the states (..., S)."""
+        return self.compute_reward(self.achieved(state), goal)
 
     @abstractmethod
     def errors(self, state: Array, goal: Array) -> dict[str, Array]:

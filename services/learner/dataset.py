@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from common.model.coordinates import Coordinates
@@ -66,6 +67,17 @@ class EpisodeStore:
         self._next += 1
         self._remember(episode)
         return True
+
+    def read_back(self) -> Iterator[Episode]:
+        """Every episode of the store in order of arrival, from the disk."""
+        seen: set[int] = set()
+        for path in sorted(self._directory.glob("*.safetensors")):
+            if path.name in self.corrupt:
+                continue
+            episode = from_bytes(path.read_bytes())
+            if episode.episode not in seen:
+                seen.add(episode.episode)
+                yield episode
 
     def _load(self, path: Path) -> None:
         try:

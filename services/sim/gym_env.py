@@ -85,7 +85,7 @@ class DexHandDieEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         """Eq. (2) of poses (..., 7), for learners that pretend another goal; `info` is not looked at."""
         del info
         achieved, desired = np.asarray(achieved_goal), np.asarray(desired_goal)
-        return np.asarray(self._twin.task.pose_reward(achieved, desired))
+        return np.asarray(self._twin.task.compute_reward(achieved, desired))
 
     def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """A picture (H, W, 3) of hand and die."""

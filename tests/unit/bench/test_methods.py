@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 
 from bench import run
+from bench.agents import AGENTS, AgentCell
 from bench.lockstep_run import Stalled
 from bench.methods import METHODS, configure
 from common.config import ConfigError
@@ -17,7 +18,7 @@ def test_every_method_is_a_configuration_of_its_own(cell, method):
     same = ["gc_pmpc", "no_dropout"]  # the cells have none already
     same += ["one_step"] * (cell == "egg_rotate")
     assert (settings.config_hash == own.config_hash) == (method in same)
-    assert settings.control.synchronous == (method in ("dpets", "pets", "synchronous"))
+    assert settings.control.synchronous == (method in ("dpets", "pets", "synchronous", *AGENTS))
 
 
 def test_the_literal_method_takes_nothing_from_the_cell():
@@ -35,9 +36,18 @@ def test_overrides_win_over_the_method_and_mistakes_are_named():
     settings = configure("reach", "no_penalty", ["learner.loss.variance_penalty=3"], Path("runs/x"))
     assert settings.learner.loss.variance_penalty == 3
     with pytest.raises(ConfigError, match="no such method"):
-        configure("reach", "sac", [], Path("runs/x"))
+        configure("reach", "ppo", [], Path("runs/x"))
     with pytest.raises(ConfigError, match=r"curriculum\.episods: no such key"):
         configure("reach", "gc_pmpc", ["curriculum.episods=3"], Path("runs/x"))
+
+
+def test_agents_decide_at_every_step_and_are_told_from_configurations():
+    assert {name for name, method in METHODS.items() if method.agent} == set(AGENTS)
+    for method in AGENTS:
+        settings = configure("reach", method, ["agent.batch=7"], Path("runs/x"))
+        assert isinstance(settings, AgentCell)
+        assert (settings.agent_method, settings.agent["batch"]) == (method, 7)
+        assert settings.control.steps_per_plan == 1
 
 
 @pytest.mark.parametrize("cell", ["reach", "egg_rotate", "die"])
