@@ -1,0 +1,113 @@
+"""States of the CPU backend over short films of exact pictures."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from common.camera_messages import PoseState
+from common.die import DIE
+from services.perception.backend import PoseEstimate, Unseen
+from services.perception.cpu.backend import CpuBackend
+from services.perception.cpu.pose import angle_rad
+from tests.unit.services.perception.cpu.raycast import Ball, photograph, transform
+
+STEP_NS = 16_666_667
+
+
+def film(count):
+    """Frames and truths of a die that turns by 3 degrees and moves by 0.5 mm a frame."""
+    for number in range(count):
+        truth = transform((0.0005 * number, 0.0, 0.42), (1.0, 2.0, 0.3), 40.0 + 3.0 * number)
+        rng = np.random.default_rng(number)
+        frame = photograph(truth, background=(90, 120, 60), number=number, t_ns=STEP_NS * number, rng=rng)
+        yield frame, truth
+
+
+FILM = list(film(8))
+
+
+def errors(estimate, truth):
+    found = estimate.T_camera_die
+    return np.degrees(angle_rad(found[:3, :3], truth[:3, :3])), 1e3 * np.linalg.norm((found - truth)[:3, 3])
+
+
+@pytest.fixture
+def following():
+    """A backend that has found the die in the first frame and followed it to the fourth."""
+    backend = CpuBackend(DIE)
+    assert backend.track(FILM[0][0]).state is PoseState.SEARCHING
+    backend.adopt(backend.register(FILM[0][0]))
+    for frame, _ in FILM[1:4]:
+        backend.track(frame)
+    return backend
+
+
+def test_searches_finds_and_follows(following):
+    for frame, truth in FILM[4:]:
+        estimate = following.track(frame)
+        assert isinstance(estimate, PoseEstimate)
+        assert (estimate.state, estimate.claimed) == (PoseState.TRACKING, True)
+        assert estimate.t_ns == frame.t_ns
+        assert estimate.frame_number == frame.frame_number
+        turned, shifted = errors(estimate, truth)
+        assert turned < 1.5
+        assert shifted < 1.0
+        assert estimate.label_posterior[0] > 0.9
+        assert np.isclose(estimate.label_posterior.sum(), 1.0)
+        assert np.linalg.eigvalsh(estimate.covariance).min() > 0
+
+
+def hidden(frame):
+    """The same moment with a board before the camera."""
+    board = np.full_like(frame.colour, 120), np.full_like(frame.depth, 2500)
+    return replace(frame, colour=board[0], depth=board[1])
+
+
+def test_a_hidden_die_is_lost_without_a_false_claim_and_found_again(following):
+    answers = [following.track(hidden(frame)) for frame, _ in FILM[4:8]]
+    assert not any(isinstance(a, PoseEstimate) and a.claimed for a in answers)
+    assert answers[-1].state is PoseState.LOST
+    later = [replace(f, colour_time_ns=t, depth_time_ns=t, frame_number=n) for f, n, t in again()]
+    back = [following.track(frame) for frame in later]
+    assert isinstance(back[-1], PoseEstimate)
+    assert back[-1].claimed
+
+
+def again():
+    """The last frames once more, as frames 8 to 10: the die stayed where it was hidden."""
+    return [(FILM[5][0], number, STEP_NS * number) for number in range(8, 11)]
+
+
+def test_blind_depth_is_never_a_claim(following):
+    blind = [replace(frame, depth=np.zeros_like(frame.depth)) for frame, _ in FILM[4:8]]
+    answers = [following.track(frame) for frame in blind]
+    assert not any(isinstance(a, PoseEstimate) and a.claimed for a in answers)
+    assert isinstance(answers[-1], Unseen)
+    assert isinstance(CpuBackend(DIE).register(blind[0]), Unseen)
+
+
+def test_reset_forgets(following):
+    following.reset()
+    answer = following.track(FILM[4][0])
+    assert isinstance(answer, Unseen)
+    assert answer.state is PoseState.SEARCHING
+
+
+def test_nothing_is_found_where_no_die_is():
+    away = transform((0.0, 0.0, -1.0), (1.0, 0.0, 0.0), 0.0)
+    frame = photograph(away, [Ball((0.0, 0.02, 0.4), 0.03)], rng=np.random.default_rng(0))
+    answer = CpuBackend(DIE).register(frame)
+    assert isinstance(answer, Unseen)
+    assert answer.state is PoseState.SEARCHING
+
+
+def test_registration_changes_nothing(following):
+    frame = FILM[4][0]
+    following.register(frame)
+    other = CpuBackend(DIE)
+    other.track(FILM[0][0])
+    other.adopt(other.register(FILM[0][0]))
+    for earlier, _ in FILM[1:4]:
+        other.track(earlier)
+    assert np.array_equal(following.track(frame).T_camera_die, other.track(frame).T_camera_die)
