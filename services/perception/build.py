@@ -23,9 +23,12 @@ from services.perception.backend import PoseBackend
 from services.perception.calibration import SAME_K_SHARE, Calibration
 from services.perception.camera_port import CameraPort
 from services.perception.config import PerceptionConfig, PerceptionProcess
+from services.perception.cpu.backend import CpuBackend
 from services.perception.cube import CubeBackend
+from services.perception.foundationpose import FoundationPoseBackend
 from services.perception.frames import Float64
 from services.perception.palm_tag import PalmTag
+from services.perception.polish import Polisher
 from services.perception.reach import Reach
 from services.perception.sam6d import Sam6dSegmenter
 from services.perception.service import PerceptionService
@@ -48,7 +51,8 @@ def build(config: PerceptionProcess, boot_id: int) -> Built:
     """Make the service, its workers' part, its camera and its desk. Raises ConfigError."""
     own = config.perception
     die, place = _die(own.die), place_of(own, config.camera)
-    worker = PoseWorker(backend_of(own, die), _segment(config, die, place), die, place.tag)
+    backend = backend_of(own, die, config.run_dir)
+    worker = PoseWorker(backend, _segment(config, die, place), die, place.tag)
     service = PerceptionService(own, worker, place.T_palm_camera, place.misfit, boot_id)
     desk = Desk("reset", boot_id, RESET_REQUEST, PoseResetReply, lambda why: PoseResetReply(False, "", why))
     ports: dict[str, Port] = {"reset": desk}
@@ -84,8 +88,13 @@ def _die(name: str) -> Die:
     return read_die(Path(name))
 
 
-def backend_of(config: PerceptionConfig, die: Die) -> PoseBackend:
+def backend_of(config: PerceptionConfig, die: Die, run_dir: Path) -> PoseBackend:
     """Who finds the die. Raises ConfigError when it cannot."""
+    if config.backend == "cpu":
+        return CpuBackend(die)
+    if config.backend == "foundationpose":
+        folder = run_dir / "foundationpose"
+        return FoundationPoseBackend(config.foundationpose, die, Polisher(die).judge, folder)
     try:
         return CubeBackend(config.aruco, die)
     except ValueError as error:

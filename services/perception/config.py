@@ -57,6 +57,16 @@ class CubeConfig(Frozen):
     marker_m: float = Field(default=0.044, gt=0.0, description="side of a marker's black square")
 
 
+class FoundationPoseConfig(Frozen):
+    """A FoundationPose that somebody installed; research and evaluation only (NVIDIA Source Code License)."""
+
+    python: Path = Field(default=Path("python3"), description="of the environment with CUDA and torch")
+    repository: Path = Field(default=Path("FoundationPose"), description="a checkout, with its weights")
+    open_s: float = Field(default=120.0, gt=0.0, description="longest wait for weights and mesh to be loaded")
+    register_s: float = Field(default=20.0, gt=0.0, description="and for a first pose")
+    track_s: float = Field(default=2.0, gt=0.0, description="and for each further one")
+
+
 class Sam6dConfig(Frozen):
     """A SAM-6D that somebody installed, for the mask of a search."""
 
@@ -74,7 +84,8 @@ class PerceptionConfig(Frozen):
     calibration: Path | None = Field(
         default=None, description="file of services.perception.calibrate; none: the emulated camera's place"
     )
-    backend: Literal["aruco"] = Field(default="aruco", description="who finds the die")
+    backend: Literal["cpu", "foundationpose", "aruco"] = Field(default="cpu", description="who finds the die")
+    foundationpose: FoundationPoseConfig = FoundationPoseConfig()
     mask: Literal["reach", "sam6d"] = Field(
         default="reach", description="where a search looks: within the hand's reach, or where SAM-6D says"
     )

@@ -32,13 +32,17 @@ def print_of(face):
 
 
 PRINTS = [print_of(face) for face in range(6)]
+PIPS = [cv2.cvtColor(DIE.face_image(face + 1, 160), cv2.COLOR_RGB2GRAY) for face in range(6)]
 # A print's frame has y down and z into the paper; rows are the axes of a face: right, up, outward.
 _AS_PRINTED = np.diag([1.0, -1.0, -1.0])
 
 
-def frame(T_camera_die=None, number=0, t_ns=None, *, noise=2.0, hidden=None, second=None):
-    """A picture of the cube (None: without one), another one perhaps; `hidden` (rows, columns) is nearer."""
-    drawn, depth = _drawn(_key(second), _key(T_camera_die))
+def frame(T_camera_die=None, number=0, t_ns=None, *, noise=2.0, hidden=None, second=None, pips=False):
+    """A picture of the cube (None: without one), another one perhaps; `hidden` (rows, columns) is nearer.
+
+    With `pips` its faces are those of the die.
+    """
+    drawn, depth = _drawn(pips, _key(second), _key(T_camera_die))
     colour, depth = noisy(drawn, noise, number), depth.copy()
     if hidden is not None:
         colour[hidden], depth[hidden] = 60, 0.2
@@ -52,16 +56,16 @@ def _key(pose):
 
 
 @cache
-def _drawn(*poses):
+def _drawn(pips, *poses):
     """Grey (H, W) and depth (H, W) without noise; most tests show one pose again and again."""
     canvas, depth = blank(), np.full((HEIGHT, WIDTH), TABLE_M)
     for pose in poses:
         if pose is not None:
-            draw_cube(canvas, depth, np.reshape(pose, (4, 4)))
+            draw_cube(canvas, depth, np.reshape(pose, (4, 4)), PIPS if pips else PRINTS)
     return shrunk(canvas), depth
 
 
-def draw_cube(canvas, depth, pose):
+def draw_cube(canvas, depth, pose, prints):
     for face in range(6):
         normal = pose[:3, :3] @ DIE.normals[face]
         middle = pose[:3, 3] + DIE.half_m * normal
@@ -70,7 +74,7 @@ def draw_cube(canvas, depth, pose):
         paper = np.eye(4)
         paper[:3, :3] = pose[:3, :3] @ DIE.frames[face].T @ _AS_PRINTED
         paper[:3, 3] = middle
-        lay(canvas, PRINTS[face], paper, (DIE.size_m, DIE.size_m), centred=True)
+        lay(canvas, prints[face], paper, (DIE.size_m, DIE.size_m), centred=True)
         distance = (normal @ middle) / (_RAYS @ normal)
         arms = (_RAYS * distance[..., None] - pose[:3, 3]) @ pose[:3, :3]
         on_face = (np.abs(arms) <= DIE.half_m + 1e-9).all(axis=-1) & (distance > 0)

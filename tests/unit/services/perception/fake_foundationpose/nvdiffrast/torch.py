@@ -1,0 +1,5 @@
+"""The one name of nvdiffrast that is used."""
+
+
+class RasterizeCudaContext:
+    pass
