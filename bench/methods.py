@@ -12,6 +12,7 @@ from bench.agents import agent_cell
 from common.config import ConfigError, parse
 from deploy.cell import Cell, method_problems
 from deploy.cell_files import find_cell, read_cell
+from deploy.supervisor import REPOSITORY
 
 
 @dataclass(frozen=True)
@@ -133,4 +134,5 @@ def cell_of(data: dict[str, Any], source: str, run_dir: Path) -> Cell:
         raise ConfigError(problems)
     changed = {"control": cell.control.model_copy(update={"synchronous": synchronous}), "run_dir": run_dir}
     cell = cell.model_copy(update=changed)
-    return cell.model_copy(update={"config_hash": cell.hash()})
+    glove = cell.glove.within(REPOSITORY)
+    return cell.model_copy(update={"config_hash": cell.hash(), "glove": glove})

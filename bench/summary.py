@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from bench.statistics import wilson
+from common.messages import WARMUP_MODES
 from deploy.curriculum_files import read_rows
 from deploy.scores import Row
 
@@ -19,11 +20,11 @@ _ABOUT = ("task", "method", "seed", "config_hash")
 def summarise(directory: Path) -> dict[str, Any]:
     """Return what a finished run came to: its last evaluation, lateness, and the time that it took."""
     rows = read_rows(directory)
-    planned = [row for row in rows if row["mode"] != "random"]
+    planned = [row for row in rows if row["mode"] not in WARMUP_MODES]
     sessions = json_lines(directory / "sessions.jsonl")
     return {
         **{name: rows[-1][name] for name in _ABOUT if name in rows[-1]},
-        "warmup_steps": sum(row["steps"] for row in rows if row["mode"] == "random"),
+        "warmup_steps": sum(row["steps"] for row in rows if row["mode"] in WARMUP_MODES),
         "training_episodes": sum(row["mode"] == "plan" for row in rows),
         "evaluation": result_of(last_evaluation(rows)),
         "late_share": share(planned, "late"),

@@ -64,7 +64,9 @@ class SharedConfig(Frozen):
     seed: int = Field(
         default=0, ge=0, lt=1_000_000, description="training seed; evaluation seeds start at 1 000 000"
     )
-    warmup_steps: int = Field(default=5000, ge=0, description="random steps before the first training")
+    warmup_steps: int = Field(
+        default=5000, ge=0, description="steps of the warm-up before the first training"
+    )
     run_dir: Path = Field(default=Path("runs/reach"), description="where this run's results are kept")
     config_hash: str = Field(
         default="", description="digest of the whole cell; written by deploy, compared by doctor"

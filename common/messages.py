@@ -44,6 +44,9 @@ class Mode(StrEnum):
     IDLE = "idle"  # nothing to do: the run has ended
 
 
+WARMUP_MODES = (Mode.RANDOM, Mode.GLOVE)  # before there is a model: no planner, no update after each
+
+
 class Warmup(StrEnum):
     """Distribution of random actions: iid uniform (the paper's) or joints held for random durations."""
 

@@ -6,6 +6,7 @@ Simulated and real hand share it, so that nobody can tell from `control/step` wh
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Protocol
@@ -13,13 +14,14 @@ from typing import Protocol
 import numpy as np
 
 from common.cell import ControlConfig
+from common.demonstrations import Demonstrations
 from common.executor import ActionBuffer, Executed
-from common.messages import Ack, Chunk, Episode, Fallback, Float32, Mode, Sample, Step, UInt8, Warmup
+from common.messages import WARMUP_MODES, Ack, Chunk, Episode, Fallback, Float32, Mode, Sample, Step, UInt8
 from common.round_trips import RoundTrips
 from common.service import Output, Publish
 from common.task import Task
 from common.topics import STEP
-from common.warmup import WarmupActions
+from common.warmup import warmup_script
 
 
 class Phase(StrEnum):
@@ -71,11 +73,19 @@ class PlantLoop:
     """State machine of a plant's episodes: never waits for anybody while one runs.
 
     Only `start: plan` (before step 0) and synchronous control (at every step) make it stand still until a
-    plan arrives.
+    plan arrives. `demonstrations` are what `glove` episodes replay; without any those are refused.
     """
 
-    def __init__(self, control: ControlConfig, task: Task, boot_id: int, hand: Hand) -> None:
+    def __init__(
+        self,
+        control: ControlConfig,
+        task: Task,
+        boot_id: int,
+        hand: Hand,
+        demonstrations: Demonstrations | None = None,
+    ) -> None:
         self._task = task
+        self._demonstrations = demonstrations
         self._control = control
         self._hand = hand
         self.boot_id = boot_id
@@ -91,7 +101,7 @@ class PlantLoop:
         self._patience_ticks = max(1, round(ANNOUNCE_S * control.rate_hz))
         self._nothing = Executed(np.zeros(task.action_dim, np.float32), -1, -1, Fallback.NONE, False)
         self._previous = self._nothing  # executed before the present step
-        self._warmup: WarmupActions | None = None
+        self._script: Iterator[Float32] = iter(())  # actions of a warm-up episode
         self._unacknowledged: set[tuple[int, int]] = set()
         self._counts: Counter[str] = Counter()
         self._round_trips = RoundTrips()
@@ -112,6 +122,7 @@ class PlantLoop:
             "refused_episodes": self._counts["refused_episodes"],
             "unacknowledged": len(self._unacknowledged),
             "warmup_steps": self._counts["warmup_steps"],
+            "glove_samples": self._demonstrations.samples if self._demonstrations else 0,
         }
         counted = {key: float(n) for key, n in (numbers | refused).items()}
         return counted | self._round_trips.fields()
@@ -123,11 +134,11 @@ class PlantLoop:
     def has_reset(self) -> None:
         """The hand that was told to reset stands ready, as last seen."""
         if self.phase is Phase.RESETTING and self.episode:
-            planned = self.episode.mode is not Mode.RANDOM and self._control.start == "plan"
-            self.phase = Phase.WAITING if planned or self._waits_always() else Phase.RUNNING
+            waits = self._planned_mode() and (self._control.start == "plan" or self._control.synchronous)
+            self.phase = Phase.WAITING if waits else Phase.RUNNING
 
-    def _waits_always(self) -> bool:
-        return self._control.synchronous and self.episode is not None and self.episode.mode is not Mode.RANDOM
+    def _planned_mode(self) -> bool:
+        return self.episode is not None and self.episode.mode not in WARMUP_MODES
 
     def take_ack(self, ack: Ack) -> None:
         """An episode is on disk."""
@@ -135,7 +146,8 @@ class PlantLoop:
 
     def take_episode(self, episode: Episode) -> list[Output]:
         """Begin an episode, change the goal of the present one, or stop for `idle`."""
-        if episode.goal.size not in (0, self._task.goal_dim):
+        unknown = episode.mode is Mode.GLOVE and self._demonstrations is None
+        if unknown or episode.goal.size not in (0, self._task.goal_dim):
             self._counts["refused_episodes"] += 1
             return []
         current = self.episode
@@ -167,9 +179,7 @@ class PlantLoop:
         self._announced = -1
         self._previous = self._nothing
         self._buffer.reset(self.boot_id, episode.episode, episode.goal_seq)
-        if episode.mode is Mode.RANDOM:
-            kind = "mix" if episode.warmup is Warmup.MIX else "uniform"
-            self._warmup = WarmupActions(kind, self._task.action_dim, episode.seed, episode.episode)
+        self._script = warmup_script(episode, self._task.action_dim, self._demonstrations)
         return self._hand.reset(episode.seed, episode.goal)
 
     def _change_goal(self, episode: Episode) -> list[Output]:
@@ -189,12 +199,12 @@ class PlantLoop:
         if not refused and chunk.first_k > chunk.source_k:  # made while the plant moved
             self._round_trips.add((now_ns - chunk.source_t_ns) / 1e6, chunk.solve_ms)
 
-    def advance(self, ticks: int, random_due: bool) -> list[Output]:
-        """Move on if it is time to: at a tick, or with a random action when `random_due`."""
+    def advance(self, ticks: int, warmup_due: bool) -> list[Output]:
+        """Move on if it is time to: at a tick, or with an action of the warm-up when `warmup_due`."""
         if self.episode is None or self._seen is None:
             return []
-        if self.phase is Phase.RUNNING and self.episode.mode is Mode.RANDOM:
-            return self._random_step() if random_due else []
+        if self.phase is Phase.RUNNING and not self._planned_mode():
+            return self._warmup_step() if warmup_due else []
         if self.phase is Phase.WAITING:
             return self._wait(ticks)
         if self.phase is Phase.RUNNING and ticks:
@@ -202,12 +212,11 @@ class PlantLoop:
             return self._planned_step()
         return []
 
-    def _random_step(self) -> list[Output]:
-        assert self._warmup is not None
+    def _warmup_step(self) -> list[Output]:
         self._counts["warmup_steps"] += 1
         out = self._publish_step(waiting=False)
         if self.phase is Phase.RUNNING:
-            out += self._execute(Executed(next(self._warmup), -1, -1, Fallback.NONE, False))
+            out += self._execute(Executed(next(self._script), -1, -1, Fallback.NONE, False))
         return out
 
     def _wait(self, ticks: int) -> list[Output]:
@@ -231,7 +240,7 @@ class PlantLoop:
             return out
         self._counts["control_steps"] += 1
         out += self._execute(self._buffer.take(self._k))
-        if self._waits_always() and not self._planned():
+        if self._control.synchronous and self._planned_mode() and not self._planned():
             self.phase = Phase.WAITING
         return out
 

@@ -8,6 +8,9 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from common.demonstrations import Demonstrations
+from common.messages import WARMUP_MODES, Episode, Mode, Warmup
+
 WarmupKind = Literal["uniform", "mix"]
 
 # Chance that a joint gets a new target in a step, one drawn per episode: from a new posture at each step to
@@ -39,3 +42,20 @@ class WarmupActions(Iterator[NDArray[np.float32]]):
 
     def _draw(self, action_dim: int) -> NDArray[np.float32]:
         return self._rng.uniform(-1.0, 1.0, action_dim).astype(np.float32)
+
+
+def warmup_script(
+    episode: Episode, action_dim: int, demonstrations: Demonstrations | None
+) -> Iterator[NDArray[np.float32]]:
+    """Actions (A,) of a warm-up episode: random, or the demonstration of its number; of others, none.
+
+    Raises ValueError for a `glove` episode without demonstrations.
+    """
+    if episode.mode not in WARMUP_MODES:
+        return iter(())
+    if episode.mode is Mode.RANDOM:
+        kind = "mix" if episode.warmup is Warmup.MIX else "uniform"
+        return WarmupActions(kind, action_dim, episode.seed, episode.episode)
+    if demonstrations is None:
+        raise ValueError("a glove episode wants demonstrations")
+    return iter(demonstrations.episode(episode.episode, episode.steps))

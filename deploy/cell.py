@@ -15,6 +15,7 @@ from common.can_config import CanConfig
 from common.cell import SharedConfig
 from common.config import ConfigError, Frozen, digest, parse
 from common.dexhand021.config import DexHandConfig
+from common.dexhand021.glove_config import GloveConfig
 from common.hand_messages import PoseSource
 from common.model.config import ModelConfig
 from common.task import DieTask, get_die_task, get_task
@@ -67,6 +68,7 @@ class Cell(SharedConfig):
     can: CanConfig = CanConfig()
     hand: DexHandConfig = DexHandConfig()
     hand_io: HandIoConfig = HandIoConfig()
+    glove: GloveConfig = GloveConfig()
     emulator: EmulatorConfig = EmulatorConfig()
     twin: TwinPhysics = TwinPhysics()
     camera: CameraConfig = CameraConfig()
@@ -83,8 +85,9 @@ class Cell(SharedConfig):
         return {"run_dir": f"runs/{data.get('cell', 'reach')}", **_router_address(data), **data}
 
     def hash(self) -> str:
-        """Digest of everything but the place of the results."""
-        return digest(self.model_copy(update={"run_dir": Path(), "config_hash": ""}))
+        """Digest of everything but the places of results and recordings."""
+        glove = self.glove.without_places()
+        return digest(self.model_copy(update={"run_dir": Path(), "config_hash": "", "glove": glove}))
 
 
 def _router_address(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -117,6 +120,10 @@ def method_problems(cell: Cell) -> Iterable[str]:
         if name not in groups:
             has = ", ".join(groups)
             yield f"learner.loss.group_weights: no group {name} in task {cell.task}; it has {has}"
+    if cell.curriculum.warmup == "glove" and not cell.glove.sources:
+        yield "curriculum.warmup: glove wants recordings: name them in glove.sources"
+    if cell.glove.sources and not isinstance(get_task(cell.task), DieTask):
+        yield f"glove.sources: no glove fits the hand of task {cell.task}, the DexHand 021's alone"
 
 
 def _hand_problems(cell: Cell) -> Iterable[str]:
@@ -151,7 +158,7 @@ def _machine_problems(cell: Cell) -> Iterable[str]:
 
 
 def load_cell(text: str, overrides: Iterable[str] = ()) -> Cell:
-    """Read a cell and check its parts against each other; a relative run_dir is meant from the repository.
+    """Read a cell and check its parts against each other; relative paths are meant from the repository.
 
     Raises ConfigError with one line per mistake.
     """
@@ -161,7 +168,11 @@ def load_cell(text: str, overrides: Iterable[str] = ()) -> Cell:
     if problems:
         raise ConfigError([f"{path.name}: {problem}" for problem in problems])
     return cell.model_copy(
-        update={"run_dir": (REPOSITORY / cell.run_dir).resolve(), "config_hash": cell.hash()}
+        update={
+            "run_dir": (REPOSITORY / cell.run_dir).resolve(),
+            "glove": cell.glove.within(REPOSITORY),
+            "config_hash": cell.hash(),
+        }
     )
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from common.built import Built
 from common.bus import Inbox, Input, JobResult
-from common.messages import Ack, Episode, Metrics, Mode, Sample, Warmup
+from common.messages import WARMUP_MODES, Ack, Episode, Metrics, Mode, Sample, Warmup
 from common.service import Finish, Job, Output, Publish, Report
 from common.task import Task, get_task
 from common.topics import ACK, CHUNK, EPISODE, METRICS, STEP
@@ -131,7 +131,7 @@ class CurriculumService:
 
     def _where(self, assigned: Assignment) -> str:
         plan = self._config.curriculum
-        if assigned.mode is Mode.RANDOM:
+        if assigned.mode in WARMUP_MODES:
             return f"warm-up, {self._progress.warmup_steps} of {self._config.warmup_steps} steps done"
         if assigned.mode is Mode.PLAN:
             return f"training {assigned.index + 1} of {plan.episodes}"
@@ -167,7 +167,7 @@ class CurriculumService:
         )
         self._rows.append(row)
         self._board.add(row)
-        self._goals_ended += assigned.mode is not Mode.RANDOM
+        self._goals_ended += assigned.mode not in WARMUP_MODES
         self._progress = schedule.finish(self._progress, trace.boot_id, row["steps"], self._config)
         self._trace = None
 
@@ -245,7 +245,7 @@ class CurriculumService:
         if assigned.mode is Mode.IDLE:
             self._done = True
             outputs.append(Finish(0))
-        elif assigned.mode is not Mode.RANDOM and self._goals_begun_ns < 0:
+        elif assigned.mode not in WARMUP_MODES and self._goals_begun_ns < 0:
             self._goals_begun_ns = self._now_ns
         return outputs
 

@@ -26,10 +26,10 @@ class CurriculumConfig(Frozen):
         description="die: faces to be brought up one after another, an equal share of `episodes` each; "
         "held-out goals take turns. Empty: each episode's seed decides",
     )
-    warmup: Literal["uniform", "mix"] = Field(
+    warmup: Literal["uniform", "mix", "glove"] = Field(
         default="uniform",
         description="random actions: iid uniform (the paper's), or joints held for random durations, "
-        "whose model predicts 2 to 3 times better near rest",
+        "whose model predicts 2 to 3 times better near rest; or what glove.sources have recorded",
     )
     evaluate_every: int = Field(default=25, ge=1, description="training episodes between two evaluations")
     evaluate_goals: int = Field(

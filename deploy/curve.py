@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from common.messages import WARMUP_MODES
+
 EPISODES_FILE = "episodes.jsonl"
 CURVE_FILE = "learning_curve.png"
 SMOOTH = 10  # episodes in the running mean
@@ -59,7 +61,7 @@ def mean(key: str, rows: Rows) -> float | None:
 
 def draw(rows: Rows, path: Path) -> bool:
     """Save return and final errors over training episodes as a PNG; False when there is nothing to draw."""
-    planned = [row for row in rows if row.get("mode") != "random"]
+    planned = [row for row in rows if row.get("mode") not in WARMUP_MODES]
     if not planned:
         return False
     import matplotlib as mpl

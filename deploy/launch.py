@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from common.dexhand021.glove_files import read_demonstrations
 from common.zenoh_bus import BusError, ZenohBus
 from deploy.cell import ALL_LOCAL, Cell, instances_of, write_process_configs
 from deploy.monitor import Heard, Monitor
@@ -44,6 +45,8 @@ class Launch:
     def start(self) -> None:
         """Write all files and start supervisord. Raises LaunchError, ConfigError."""
         self._refuse_if_running()
+        if any("glove" in process_of(name).sections for name in self.instances):
+            read_demonstrations(self.cell.glove, self.cell.control.rate_hz)  # a bad file is told of here
         write_process_configs(self.cell, self.files.machine)
         self.files.supervisor_config.write_text(render(self.files, self.instances), encoding="utf-8")
         self.started = True

@@ -44,7 +44,7 @@ PROCESSES: tuple[Process, ...] = (
         start_deadline_s=30.0,
         warm_up_s=5,
     ),
-    Process("sim", "services.sim", "plant", stop_wave=1, plants=("sim",), sections=("twin",)),
+    Process("sim", "services.sim", "plant", stop_wave=1, plants=("sim",), sections=("twin", "glove")),
     Process(
         "emulator",
         "services.sim.emulator",
@@ -59,7 +59,7 @@ PROCESSES: tuple[Process, ...] = (
         "plant",
         stop_wave=1,
         plants=("twin", "hand"),
-        sections=("can", "hand", "hand_io", "pose_source"),
+        sections=("can", "hand", "hand_io", "pose_source", "glove"),
         watchdog_restarts=False,
     ),
     Process(

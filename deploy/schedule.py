@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.config import Frozen
-from common.messages import Mode
+from common.messages import WARMUP_MODES, Mode
 from deploy.curriculum_config import FIRST_EVALUATION_SEED, CurriculumProcess
 
-_STREAMS = {Mode.RANDOM: 0, Mode.PLAN: 1}
+_STREAMS = {Mode.RANDOM: 0, Mode.GLOVE: 0, Mode.PLAN: 1}
 
 
 class Assignment(Frozen):
@@ -66,8 +66,9 @@ def decide(progress: Progress, config: CurriculumProcess) -> Assignment | Waitin
         # The plant's history of steps is bounded: a learner that is far behind would miss some.
         return _waiting_for_ack(pending[0])
     if progress.warmup_steps < config.warmup_steps:
-        return _assignment(progress, config, Mode.RANDOM, progress.warmups)
-    if pending and pending[0].mode is Mode.RANDOM:
+        kind = Mode.GLOVE if config.curriculum.warmup == "glove" else Mode.RANDOM
+        return _assignment(progress, config, kind, progress.warmups)
+    if pending and pending[0].mode in WARMUP_MODES:
         return _waiting_for_ack(pending[0])
     if config.warmup_steps and progress.updated_after < 0:
         return Waiting("waiting for the first update")
@@ -111,7 +112,7 @@ def _seed(config: CurriculumProcess, mode: Mode, index: int) -> int:
 
 def assign(progress: Progress, assignment: Assignment) -> Progress:
     """Give out the next id."""
-    warmups = progress.warmups + (assignment.mode is Mode.RANDOM)
+    warmups = progress.warmups + (assignment.mode in WARMUP_MODES)
     update = {"assigned": assignment, "next_id": assignment.episode + 1, "warmups": warmups}
     return progress.model_copy(update=update)
 
@@ -130,7 +131,7 @@ def finish(progress: Progress, boot_id: int, steps: int, config: CurriculumProce
         return progress.model_copy(update={"assigned": None} | _evaluated(progress, config))
     waiting = Pending(episode=done.episode, boot_id=boot_id, mode=done.mode, steps=steps)
     update: dict[str, object] = {"assigned": None, "pending": (*progress.pending, waiting)}
-    if done.mode is Mode.RANDOM:
+    if done.mode in WARMUP_MODES:
         update["warmup_steps"] = progress.warmup_steps + steps
     else:
         update["trained"] = progress.trained + 1
@@ -154,7 +155,7 @@ def acknowledge(progress: Progress, pending: Pending) -> Progress:
 
 def lose(progress: Progress, pending: Pending) -> Progress:
     """Give an episode up; a warm-up episode is made up for by another one."""
-    warmup_steps = progress.warmup_steps - (pending.steps if pending.mode is Mode.RANDOM else 0)
+    warmup_steps = progress.warmup_steps - (pending.steps if pending.mode in WARMUP_MODES else 0)
     update = {"pending": _without(progress, pending), "lost": progress.lost + 1, "warmup_steps": warmup_steps}
     return progress.model_copy(update=update)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from common.messages import Chunk, Fallback, Sample, Step
+from common.messages import WARMUP_MODES, Chunk, Fallback, Sample, Step
 from common.task import Task
 
 Row = dict[str, Any]  # one line of episodes.jsonl
@@ -147,7 +147,7 @@ class Scoreboard:
             if row["index"] == 0:
                 self.evaluation = []
             self.evaluation.append(row)
-        if row["mode"] != "random":
+        if row["mode"] not in WARMUP_MODES:
             for name in ("planned", "late", "held"):
                 self.counts[name] += row[name]
 

@@ -10,6 +10,7 @@ from common.can_config import CanConfig
 from common.cell import SharedConfig
 from common.config import Frozen
 from common.dexhand021.config import Confirm, DexHandConfig
+from common.dexhand021.glove_config import GloveConfig
 from common.dexhand021.tables import MOTORS
 from common.hand_messages import PoseSource
 from services.hand_io.limits_config import LimitsConfig
@@ -58,6 +59,7 @@ class HandIoProcess(SharedConfig):
     can: CanConfig = CanConfig()
     hand: DexHandConfig = DexHandConfig()
     hand_io: HandIoConfig = HandIoConfig()
+    glove: GloveConfig = GloveConfig()
     pose_source: PoseSource = Field(default=PoseSource.TWIN, description="who tells where the die is")
 
     @model_validator(mode="after")

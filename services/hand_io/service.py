@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from common.bus import Inbox, Input
+from common.demonstrations import Demonstrations
 from common.dexhand021.angles import to_normalised
 from common.executor import Executed
 from common.hand_messages import Drive, HandCommand, HandFrame, HandJoints, ObjectPose
@@ -114,12 +115,18 @@ class HandIoService:
         Input(ARM_REQUEST, wake=True),
     )
 
-    def __init__(self, config: HandIoProcess, task: DieTask, boot_id: int) -> None:
+    def __init__(
+        self,
+        config: HandIoProcess,
+        task: DieTask,
+        boot_id: int,
+        demonstrations: Demonstrations | None = None,
+    ) -> None:
         own = config.hand_io
         self._task = task
         self.period_ns: int | None = config.control.period_ns
         self._hand = DrivenHand(config, task)
-        self._loop = PlantLoop(config.control, task, boot_id, self._hand)
+        self._loop = PlantLoop(config.control, task, boot_id, self._hand, demonstrations)
         fresh = Freshness(own.stale_ms, own.pose_stale_ms, own.pose_quality, config.pose_source)
         self._fusion = Fusion(task, fresh)
         self._arming = Arming(own.auto_arm, round(own.recover_s * NS_PER_S))
@@ -237,7 +244,7 @@ class HandIoService:
                 self._loop.has_reset()
         for sample in inbox.take(CHUNK):
             self._loop.take_chunk(sample, now_ns)
-        return out + self._loop.advance(inbox.ticks, random_due=bool(inbox.ticks))
+        return out + self._loop.advance(inbox.ticks, warmup_due=bool(inbox.ticks))
 
     # --- for people -------------------------------------------------------------------------------
 

@@ -6,7 +6,7 @@ import math
 from collections import Counter, deque
 
 from common.bus import Inbox, Input, JobResult
-from common.messages import Ack, Metrics, Mode, SnapshotMessage
+from common.messages import WARMUP_MODES, Ack, Metrics, SnapshotMessage
 from common.service import Job, Output, Publish, Report
 from common.topics import ACK, METRICS, SNAPSHOT, STEP
 from services.learner.config import LearnerConfig
@@ -149,7 +149,7 @@ class LearnerService:
         self._episodes, self._steps = stored.episodes, stored.steps
         out.append(Publish(ACK, Ack(stored.boot_id, stored.episode, stored.episodes, stored.steps)))
         self._counts["repeated_episodes"] += not stored.new
-        if stored.new and self._trained_once and stored.mode != Mode.RANDOM:
+        if stored.new and self._trained_once and stored.mode not in WARMUP_MODES:
             self._owe(1)
 
     # --- training ---------------------------------------------------------------------------------

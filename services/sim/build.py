@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from common.built import Built
 from common.cell import SharedConfig
+from common.dexhand021.glove_config import GloveConfig
+from common.dexhand021.glove_files import read_demonstrations
 from common.task import get_task
 from services.sim.dexhand_physics import TwinPhysics
 from services.sim.plants import make_plant
@@ -20,10 +22,16 @@ class SimProcess(SharedConfig):
 
     twin: TwinPhysics = TwinPhysics()
 
+    glove: GloveConfig = GloveConfig()
+
 
 def build(config: SimProcess, boot_id: int, head_start_s: float = 0.0) -> Built:
-    """Make the service and the simulated hand that it drives, which waits `head_start_s` before it moves."""
-    service = SimService(config, get_task(config.task), boot_id)
+    """Make the service and the simulated hand that it drives, which waits `head_start_s` before it moves.
+
+    Raises ConfigError for a bad glove file.
+    """
+    demonstrations = read_demonstrations(config.glove, config.control.rate_hz)
+    service = SimService(config, get_task(config.task), boot_id, demonstrations)
     plant = make_plant(config.task, config.control.rate_hz, config.twin)
     return Built(service, {"plant": PlantPort(plant, head_start_s)})
 

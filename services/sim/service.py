@@ -6,6 +6,7 @@ import numpy as np
 
 from common.bus import Inbox, Input
 from common.cell import SharedConfig
+from common.demonstrations import Demonstrations
 from common.executor import Executed
 from common.messages import Float32, PlantCommand, PlantFrame
 from common.plant_loop import PlantLoop, Seen
@@ -37,7 +38,7 @@ def _command(reset: bool = False, seed: int = 0, goal: Float32 = _EMPTY, action:
 
 
 class SimService:
-    """Random episodes run as fast as the device answers; all others at the control rate."""
+    """Warm-up episodes run as fast as the device answers; all others at the control rate."""
 
     name = "sim"
     inputs = (
@@ -47,11 +48,13 @@ class SimService:
         Input(PLANT_FRAME, wake=True),
     )
 
-    def __init__(self, config: SharedConfig, task: Task, boot_id: int) -> None:
+    def __init__(
+        self, config: SharedConfig, task: Task, boot_id: int, demonstrations: Demonstrations | None = None
+    ) -> None:
         self.period_ns: int | None = config.control.period_ns
         self._all_valid = np.ones(len(task.groups), np.uint8)
         self._no_age = np.zeros(len(task.groups), np.float32)
-        self._loop = PlantLoop(config.control, task, boot_id, SimulatedHand())
+        self._loop = PlantLoop(config.control, task, boot_id, SimulatedHand(), demonstrations)
 
     @property
     def boot_id(self) -> int:
@@ -70,7 +73,7 @@ class SimService:
             out += self._loop.take_episode(sample.message)
         for sample in inbox.take(CHUNK):
             self._loop.take_chunk(sample, now_ns)
-        return out + self._loop.advance(inbox.ticks, random_due=bool(frames))
+        return out + self._loop.advance(inbox.ticks, warmup_due=bool(frames))
 
     def stop(self, now_ns: int) -> list[Output]:
         """Nothing needs saving: an unfinished episode is run again after the restart."""

@@ -61,3 +61,15 @@ def test_a_lost_goal_is_not_waited_for(tmp_path):
 def test_without_a_warm_up_a_model_is_taken_for_granted(tmp_path):
     settings = config(tmp_path, episodes=0, evaluate_goals=3).model_copy(update={"warmup_steps": 0})
     assert [a.mode for a, _ in play(settings)[0]] == [Mode.EVALUATE] * 3
+
+
+def test_a_warm_up_by_glove_is_scheduled_like_a_random_one(tmp_path):
+    def warmups(kind, mode):
+        settings = config(tmp_path, warmup=kind)
+        played, end = play(settings, lose=lambda a: a.mode is mode and a.index == 1)
+        assert (end.lost, end.warmup_steps) == (1, 20)
+        return [(a.mode, a.episode, a.index, a.seed) for a, _ in played]
+
+    random, glove = warmups("mix", Mode.RANDOM), warmups("glove", Mode.GLOVE)
+    assert [mode for mode, *_ in glove[:6]] == [Mode.GLOVE] * 5 + [Mode.EVALUATE]
+    assert [rest for _, *rest in glove] == [rest for _, *rest in random]

@@ -50,9 +50,10 @@ def test_the_first_update_begins_when_the_warm_up_is_stored_and_ends_in_snapshot
     assert (learner.state, learner.fields["updates"], learner.queue) == ("ready", 3, deque())
 
 
-def test_each_planned_episode_owes_an_update_and_random_ones_none(learner):
+@pytest.mark.parametrize("warmup", [Mode.RANDOM, Mode.GLOVE])
+def test_each_planned_episode_owes_an_update_and_random_ones_none(learner, warmup):
     trained(learner)
-    learner.record(2)
+    learner.record(2, warmup)
     learner.work_all()
     assert learner.fields["updates"] == 3
     learner.record(3, Mode.PLAN)

@@ -66,7 +66,7 @@ POSE = ObjectPose(
 class DrivenService:
     """Steps the service; `turn` lets 20 ms pass and shows it a frame, with a tick every `rate_hz`."""
 
-    def __init__(self, control=None, hand=Hand.RIGHT, **options):
+    def __init__(self, control=None, hand=Hand.RIGHT, demonstrations=None, **options):
         quick = {"recover_s": 0.0, "reset_s": 0.1, "settle_s": 0.0, "hold_s": 1.0}
         config = HandIoProcess(
             task=TASK_OF[hand],
@@ -74,7 +74,7 @@ class DrivenService:
             control=control or ControlConfig(rate_hz=10, steps_per_plan=2),
             hand_io=HandIoConfig(**{**quick, **options}),
         )
-        self.service = HandIoService(config, get_die_task(TASK_OF[hand], hand), 11)
+        self.service = HandIoService(config, get_die_task(TASK_OF[hand], hand), 11, demonstrations)
         self.inbox = Inbox(CODEC, self.service.inputs)
         self.now_ns, self._seq = 10**18, Counter()
         self.frame, self.pose = GOOD_FRAME, POSE
