@@ -45,6 +45,10 @@ class TwinCell(LiveCell):
         sample = self.heard.newest(HAND_JOINTS)
         return sample.message.state if sample else ""
 
+    def said(self):
+        """The newest state of everybody, for a test that fails."""
+        return {name: health.state for name in self.processes() if (health := self.heard.health(name))}
+
     def physics(self, since_ns):
         """What the emulator noted of its twin since then, from its own bus log."""
         found = []
@@ -75,7 +79,7 @@ def running(cell):
         fit = [s for s in new if s.message.mode is Mode.PLAN and not s.message.waiting and s.message.k >= 3]
         return fit[-1] if fit else None
 
-    return wait(fresh, "a planned step")
+    return wait(fresh, lambda: f"a planned step; {cell.said()}")
 
 
 def test_without_its_planner_the_hand_holds_as_soon_as_the_last_plan_is_used_up(cell):
