@@ -63,9 +63,9 @@ class SetPoints:
         if self._gate is None:
             self._gate = Gate(self._limits, self._hand)
             self._ramp = Ramp.still(now_ns, np.where(np.isnan(sensed.angle_rad), LOW_RAD, sensed.angle_rad))
-        if command.drive is Drive.HOLD and self.drive is not Drive.HOLD:
+        elif command.drive is Drive.HOLD and self.drive is not Drive.HOLD:
             self._ramp = Ramp.still(now_ns, self.sent.position_rad)  # where it is, not where it was to go
-        elif command.drive is Drive.FOLLOW:
+        if command.drive is Drive.FOLLOW:
             target = to_radians(command.action)
             self._ramp = self._ramp.towards(now_ns, target, max(1, command.duration_ns))
         self.drive = command.drive

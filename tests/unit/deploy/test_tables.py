@@ -138,4 +138,4 @@ def test_every_counter_is_explained(tmp_path: Path):
 def test_guides_stay_short():
     for page in (OPERATING, TUNING):
         written = re.sub(r"<!-- table:.*?<!-- /table", "", page.read_text(), flags=re.DOTALL)
-        assert written.count("\n") < 200
+        assert written.count("\n") < 250

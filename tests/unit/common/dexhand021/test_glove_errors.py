@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pyarrow
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet
 
@@ -209,6 +209,7 @@ CELL = st.one_of(
 PLACE = st.tuples(st.sampled_from((*COLUMNS, "time_s")), st.integers(0, 3))
 
 
+@settings(suppress_health_check=[HealthCheck.too_slow])  # the first text of a fresh checkout takes seconds
 @given(st.dictionaries(PLACE, CELL, max_size=4))
 def test_any_cells_are_a_recording_or_one_line(spoilt):
     columns: dict[str, list[object]] = {name: [40.0, 41.0, 42.0, 43.0] for name in COLUMNS}

@@ -50,6 +50,16 @@ def test_hold_takes_each_motor_where_it_is():
     assert np.allclose(bench.go().position_rad, HERE) and bench.points.sent.enabled.all()
 
 
+def test_hold_goes_by_the_newest_reading_not_by_what_was_last_sent():
+    bench = Bench()
+    bench.angle[:] = np.nan
+    bench.go()
+    bench.angle[:] = HERE  # the boards have just been heard for the first time
+    bench.order(Drive.HOLD)
+    for _ in range(20):
+        assert np.allclose(bench.go().position_rad, HERE)
+
+
 def test_follow_arrives_in_time_on_a_straight_way():
     bench = Bench()
     bench.go()
