@@ -21,7 +21,6 @@ class SimProcess(SharedConfig):
     """What the sim process is started with: what is not here, such as start poses, is the plant's own."""
 
     twin: TwinPhysics = TwinPhysics()
-
     glove: GloveConfig = GloveConfig()
 
 

@@ -5,10 +5,14 @@ import pytest
 from common.config import ConfigError, load
 from common.dexhand021.glove_config import GloveUser
 from common.dexhand021.glove_fit import POSTURES
-from deploy.cell import load_cell
+from deploy.cell import load_cell, process_config
 from deploy.glove import main
 from deploy.launch import Launch
 from deploy.supervisor import REPOSITORY
+from services.hand_io.build import build as build_hand_io
+from services.hand_io.config import HandIoProcess
+from services.sim.build import SimProcess
+from services.sim.build import build as build_sim
 from services.sim.glove_writers import FORMATS
 
 SMALL = ("--demonstrations", "2", "--steps", "7", "--candidates", "1", "--seed", "3")
@@ -81,6 +85,21 @@ def test_the_recordings_of_a_cell_are_checked_as_it_reads_them(made, capsys):
     files = f"glove.sources=[{{files: [{made}/jsonl/*.jsonl], user: {made}/user.yaml}}]"
     assert main(["check", "--cell", "die", "--set", files, "--set", "control.rate_hz=6"]) == 0
     assert capsys.readouterr().out.endswith("in all: 26 actions\n")
+
+
+@pytest.mark.parametrize(
+    ("cell", "process", "build"),
+    [
+        ("die", SimProcess, build_sim),
+        ("dexhand_twin", HandIoProcess, build_hand_io),
+    ],
+)
+def test_the_plants_of_both_cells_have_the_recordings(made, cell, process, build):
+    files = f"glove.sources=[{{files: [{made}/csv/*.csv], user: {made}/user.yaml}}]"
+    effective = load_cell(cell, ["curriculum.warmup=glove", files])
+    name = "sim" if cell == "die" else "hand_io"
+    built = build(process.model_validate(process_config(effective, name)), 1)
+    assert built.service.report().fields["glove_samples"] == 14
 
 
 def test_a_cells_relative_files_are_meant_from_the_project_and_its_digest_knows_no_places():
