@@ -83,7 +83,7 @@ def scores(task: str, overrides: Sequence[str], threads: int) -> tuple[dict[str,
     if task == "reach":
         plant = ShadowHandPlant(task)
         return {HELD: lambda seed: held_score(plant, seed)}, HELD
-    cell = configure(task, "gc_pmpc", overrides, Path())
+    cell = configure(task, "gc_pmpc_plus", overrides, Path())
     if cell.control.steps_per_plan == "auto":
         raise ConfigError(["control.steps_per_plan: the oracle needs a number"])
     x = cell.control.steps_per_plan

@@ -1,6 +1,6 @@
 """Train one method on one task and seed in lock-step, with the services that run live.
 
-    python -m bench.run --method gc_pmpc --task reach --seed 0 --episodes 100 --out DIR
+    python -m bench.run --method gc_pmpc_plus --task reach --seed 0 --episodes 100 --out DIR
 
 DIR receives config.yaml, episodes.jsonl (a line per episode), timing.jsonl (when each began), sessions.jsonl
 (commit, cores and versions of each start), the learner's data and checkpoints, results.jsonl (a line per
@@ -188,7 +188,7 @@ def main() -> None:
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m bench.run", description=(__doc__ or "").split("\n")[0])
     parser.add_argument(
-        "--method", default="gc_pmpc", choices=tuple(METHODS), metavar="METHOD", help=_methods()
+        "--method", default="gc_pmpc_plus", choices=tuple(METHODS), metavar="METHOD", help=_methods()
     )
     parser.add_argument(
         "--task", help="reach, egg, egg_rotate or block; the cell of that name if none is given"

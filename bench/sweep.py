@@ -45,7 +45,7 @@ class Group(Frozen):
     """Runs that differ in task, method and seed only."""
 
     tasks: tuple[str, ...] = Field(min_length=1, description="each a cell's name")
-    methods: tuple[str, ...] = Field(default=("gc_pmpc",), min_length=1)
+    methods: tuple[str, ...] = Field(default=("gc_pmpc_plus",), min_length=1)
     seeds: tuple[int, ...] = Field(default=(0,), min_length=1)
     episodes: int | None = Field(default=None, ge=0, description="of training; default: the cell's")
     name: str = Field(default="", pattern=r"^[\w.-]*$", description="of its folder; default: the method")

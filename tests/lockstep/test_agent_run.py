@@ -64,8 +64,8 @@ def test_every_action_is_decided_on_the_state_that_it_acts_in(finished):
 
 
 def test_warm_up_files_and_columns_are_those_of_the_paper_s_method(finished, tmp_path):
-    ours = configure("debug", "gc_pmpc", (*TINY, "model.targets=standardised"), tmp_path)
-    run = assemble(ours, labels={"method": "gc_pmpc"})
+    ours = configure("debug", "gc_pmpc_plus", (*TINY, "model.targets=standardised"), tmp_path)
+    run = assemble(ours, labels={"method": "gc_pmpc_plus"})
     run.lockstep.run(lambda: run.services["curriculum"].report().fields["episode"] >= 7, 2**62)
     files = [sorted((d / "learner" / "episodes").glob("*"))[:5] for d in (tmp_path, finished[0])]
     assert [file.name for file in files[0]] == [file.name for file in files[1]]

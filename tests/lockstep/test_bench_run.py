@@ -30,13 +30,13 @@ FORBIDDEN = ("zenoh", "rerun", "cv2", "can", "stable_baselines3")
 
 
 def tiny(directory, *overrides):
-    return configure("debug", "gc_pmpc", (*TINY, *overrides), directory)
+    return configure("debug", "gc_pmpc_plus", (*TINY, *overrides), directory)
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     directory = tmp_path_factory.mktemp("run")
-    summary = train(tiny(directory), "gc_pmpc", directory, log=True)
+    summary = train(tiny(directory), "gc_pmpc_plus", directory, log=True)
     return directory, summary
 
 
@@ -57,7 +57,7 @@ def test_a_run_leaves_rows_a_model_and_a_summary(finished):
 
 def test_the_same_seed_gives_the_same_bytes(finished, tmp_path):
     directory, _ = finished
-    train(tiny(tmp_path), "gc_pmpc", tmp_path, log=True)
+    train(tiny(tmp_path), "gc_pmpc_plus", tmp_path, log=True)
     assert (tmp_path / "episodes.jsonl").read_bytes() == (directory / "episodes.jsonl").read_bytes()
     logs, others = log_files(tmp_path / "log" / "000"), log_files(directory / "log" / "000")
     assert len(logs) == 4
@@ -69,17 +69,17 @@ def test_the_same_seed_gives_the_same_bytes(finished, tmp_path):
 @pytest.mark.parametrize("killed_in", [3, 16, 17, 18])
 def test_an_interrupted_run_comes_to_the_same_result(finished, tmp_path, killed_in):
     directory, _ = finished
-    run = assemble(tiny(tmp_path), labels={"method": "gc_pmpc"})
+    run = assemble(tiny(tmp_path), labels={"method": "gc_pmpc_plus"})
     report = run.services["curriculum"].report
     run.lockstep.run(lambda: report().fields["episode"] >= killed_in, 2**62)  # and closes nothing, as a kill
-    train(tiny(tmp_path), "gc_pmpc", tmp_path)
+    train(tiny(tmp_path), "gc_pmpc_plus", tmp_path)
     assert without(read_rows(tmp_path), TIMES_AND_NAMES) == without(read_rows(directory), TIMES_AND_NAMES)
 
 
 def test_a_run_with_another_configuration_is_refused(finished):
     directory, _ = finished
     with pytest.raises(ConfigError, match="another configuration"):
-        train(tiny(directory, "planner.horizon=6"), "gc_pmpc", directory)
+        train(tiny(directory, "planner.horizon=6"), "gc_pmpc_plus", directory)
 
 
 def test_evaluation_runs_the_newest_model_on_held_out_goals(finished):
@@ -95,7 +95,7 @@ def test_evaluation_runs_the_newest_model_on_held_out_goals(finished):
     assert found["goals"] == 2 and found["success_paper"]["wilson_95"]
     json.dumps(found)
     row = evaluation.row_of(directory, found, rows)
-    assert (row["method"], row["seed"], row["episode"], row["goals"]) == ("gc_pmpc", 0, 2, 2)
+    assert (row["method"], row["seed"], row["episode"], row["goals"]) == ("gc_pmpc_plus", 0, 2, 2)
     assert row["mean_finger_error_mm"] == pytest.approx(1e3 * found["error_mean_finger_m"]["mean"], abs=1e-3)
 
 

@@ -142,8 +142,8 @@ TINY = (
 def test_a_run_begins_with_the_recordings_and_learns_from_them(tmp_path):
     given = sources(tmp_path, calm(161), recording(161, "other", seed=3))
     out = tmp_path / "run"
-    cell = configure("die", "gc_pmpc", (*TINY, f"glove={json.dumps(given)}"), out)
-    summary = train(cell, "gc_pmpc", out)
+    cell = configure("die", "gc_pmpc_plus", (*TINY, f"glove={json.dumps(given)}"), out)
+    summary = train(cell, "gc_pmpc_plus", out)
     assert [row["mode"] for row in read_rows(out)] == ["glove"] * 3 + ["plan"]
     assert (summary["warmup_steps"], summary["training_episodes"]) == (24, 1)
     stored = [from_bytes(path.read_bytes()) for path in (out / "learner" / "episodes").iterdir()]
@@ -169,5 +169,5 @@ def test_a_run_begins_with_the_recordings_and_learns_from_them(tmp_path):
 )
 def test_a_glove_where_there_can_be_none_is_refused(tmp_path, overrides, complaint):
     with pytest.raises(ConfigError) as refused:
-        configure("die", "gc_pmpc", overrides, tmp_path)
+        configure("die", "gc_pmpc_plus", overrides, tmp_path)
     assert f"die.yaml: {complaint}" in refused.value.lines

@@ -19,7 +19,14 @@ TINY = [
 
 
 def group(**changes):
-    return {"tasks": ["debug"], "methods": ["gc_pmpc"], "seeds": [0], "episodes": 1, "set": TINY, **changes}
+    return {
+        "tasks": ["debug"],
+        "methods": ["gc_pmpc_plus"],
+        "seeds": [0],
+        "episodes": 1,
+        "set": TINY,
+        **changes,
+    }
 
 
 def parsed(tmp_path, *groups):
@@ -30,7 +37,7 @@ def test_every_combination_is_a_run_of_its_own(tmp_path):
     runs = sweep.runs_of(
         parsed(tmp_path, group(tasks=["reach", "egg"], seeds=[3, 4]), group(name="wide", methods=["pets"]))
     )
-    names = ["reach/gc_pmpc/3", "reach/gc_pmpc/4", "egg/gc_pmpc/3", "egg/gc_pmpc/4", "debug/wide/0"]
+    names = ["reach/gc_pmpc_plus/3", "reach/gc_pmpc_plus/4", "egg/gc_pmpc/3", "egg/gc_pmpc/4", "debug/wide/0"]
     assert [run.name for run in runs] == names
     cell = runs[1].cell()
     assert (cell.seed, cell.curriculum.episodes, cell.warmup_steps) == (4, 1, 100)
@@ -40,7 +47,7 @@ def test_every_combination_is_a_run_of_its_own(tmp_path):
 @pytest.mark.parametrize(
     ("groups", "message"),
     [
-        ([group(), group(set=[])], "debug/gc_pmpc/0: two runs would share"),
+        ([group(), group(set=[])], "debug/gc_pmpc_plus/0: two runs would share"),
         ([group(methods=["nonsense"])], "nonsense: no such method"),
         ([group(set=["a.b=1"])], "a: no such key"),
     ],
@@ -69,7 +76,7 @@ def test_runs_finish_here_and_are_not_run_again(tmp_path, command):
     assert (code, found["runs"], found["finished"]) == (0, 1, 1)
     rows = [json.loads(line) for line in (tmp_path / "out" / "results.jsonl").read_text().splitlines()]
     assert [(row["task"], row["method"], row["episode"]) for row in rows] == [
-        ("reach", "gc_pmpc", n) for n in (0, 1)
+        ("reach", "gc_pmpc_plus", n) for n in (0, 1)
     ]
     code, found, said = command([group(), group(name="other")], "--dry-run")
     assert (code, found["runs"], found["finished"]) == (0, 2, 1)
@@ -82,4 +89,4 @@ def test_the_same_file_runs_through_submitit_and_a_failure_stays_alone(tmp_path,
     (tmp_path / "out" / "debug" / "blocked" / "0").write_text("a file where a folder should be")
     code, found, said = command([group(name="blocked"), group()], "--cluster", "local")
     assert (code, found["finished"]) == (1, 1)
-    assert "debug/blocked/0: FAILED" in said and "debug/gc_pmpc/0: 1 episodes" in said
+    assert "debug/blocked/0: FAILED" in said and "debug/gc_pmpc_plus/0: 1 episodes" in said

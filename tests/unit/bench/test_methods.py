@@ -14,8 +14,8 @@ from common.config import ConfigError
 @pytest.mark.parametrize("cell", ["reach", "egg_rotate"])
 def test_every_method_is_a_configuration_of_its_own(cell, method):
     settings = configure(cell, method, [], Path("runs/x"))
-    own = configure(cell, "gc_pmpc", [], Path("runs/y"))
-    same = ["gc_pmpc", "no_dropout"]  # the cells have none already
+    own = configure(cell, "gc_pmpc_plus", [], Path("runs/y"))
+    same = ["gc_pmpc_plus", "no_dropout"]  # the cells have none already
     same += ["one_step"] * (cell == "egg_rotate")
     assert (settings.config_hash == own.config_hash) == (method in same)
     assert settings.control.synchronous == (method in ("dpets", "pets", "synchronous", *AGENTS))
@@ -38,7 +38,7 @@ def test_overrides_win_over_the_method_and_mistakes_are_named():
     with pytest.raises(ConfigError, match="no such method"):
         configure("reach", "ppo", [], Path("runs/x"))
     with pytest.raises(ConfigError, match=r"curriculum\.episods: no such key"):
-        configure("reach", "gc_pmpc", ["curriculum.episods=3"], Path("runs/x"))
+        configure("reach", "gc_pmpc_plus", ["curriculum.episods=3"], Path("runs/x"))
 
 
 def test_agents_decide_at_every_step_and_are_told_from_configurations():
@@ -69,12 +69,12 @@ def test_x4_looks_beyond_the_steps_under_way(cell):
 )
 def test_sections_that_contradict_each_other_are_refused_as_they_are_live(overrides, line):
     with pytest.raises(ConfigError) as error:
-        configure("reach", "gc_pmpc", overrides, Path("runs/x"))
+        configure("reach", "gc_pmpc_plus", overrides, Path("runs/x"))
     assert error.value.lines == [line]
 
 
 def test_a_cell_has_its_base_here_too():
-    settings = configure("egg_rotate", "gc_pmpc", [], Path("runs/x"))
+    settings = configure("egg_rotate", "gc_pmpc_plus", [], Path("runs/x"))
     assert (settings.task, settings.planner.horizon, settings.model.members) == ("egg_rotate", 16, 3)
 
 
@@ -96,6 +96,6 @@ def test_a_run_is_taken_up_again_with_another_bound_of_its_logs_but_no_other_val
     monkeypatch.setattr(run, "assemble", assembled)
     for overrides in ([], ["log.keep_mb=9"]):
         with pytest.raises(Stalled, match="assembled"):
-            run.train(configure("debug", "gc_pmpc", overrides, tmp_path), "gc_pmpc", tmp_path)
+            run.train(configure("debug", "gc_pmpc_plus", overrides, tmp_path), "gc_pmpc_plus", tmp_path)
     with pytest.raises(ConfigError, match="another configuration"):
-        run.train(configure("debug", "gc_pmpc", ["seed=1"], tmp_path), "gc_pmpc", tmp_path)
+        run.train(configure("debug", "gc_pmpc_plus", ["seed=1"], tmp_path), "gc_pmpc_plus", tmp_path)
