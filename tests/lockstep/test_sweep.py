@@ -37,8 +37,8 @@ def test_every_combination_is_a_run_of_its_own(tmp_path):
     runs = sweep.runs_of(
         parsed(tmp_path, group(tasks=["reach", "egg"], seeds=[3, 4]), group(name="wide", methods=["pets"]))
     )
-    names = ["reach/gc_pmpc_plus/3", "reach/gc_pmpc_plus/4", "egg/gc_pmpc/3", "egg/gc_pmpc/4", "debug/wide/0"]
-    assert [run.name for run in runs] == names
+    names = [f"{task}/gc_pmpc_plus/{seed}" for task in ("reach", "egg") for seed in (3, 4)]
+    assert [run.name for run in runs] == [*names, "debug/wide/0"]
     cell = runs[1].cell()
     assert (cell.seed, cell.curriculum.episodes, cell.warmup_steps) == (4, 1, 100)
     assert runs[4].cell().planner.propagation == "sampled"
