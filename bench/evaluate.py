@@ -1,6 +1,9 @@
 """How well a trained model reaches goals that it was not trained on: lock-step, planner and plant only.
 
-python -m bench.evaluate --run DIR --goals 100 --seed 1000000 --json
+    python -m bench.evaluate --run DIR --goals 100 --seed 1000000 --json
+
+Without --set, and from the first held-out goal on, the run keeps how the goals went (DIR/evaluations), and
+`python -m bench.report --collect DIR` makes the run's final row of the evaluation with most goals.
 """
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +24,7 @@ from bench.agents import AgentCell, AgentModel, load_agent
 from bench.lockstep_run import WITHOUT_LEARNER, LockstepRun, Stalled, assemble
 from bench.methods import cell_of
 from bench.provenance import provenance
-from bench.references import reference_rows
-from bench.result_rows import result_row, training_s
+from bench.result_rows import is_of_bench, keep_evaluation
 from bench.summary import result_line, result_of, share
 from common.config import ConfigError, read_yaml, with_overrides
 from common.model.snapshot import Snapshot, SnapshotRefused
@@ -96,22 +98,6 @@ def result(cell: Cell, model: Snapshot | AgentModel, rows: list[Row], wall_s: fl
     }
 
 
-def row_of(run: Path, found: Mapping[str, Any], rows: list[Row]) -> Row:
-    """Return the row that methods are compared by; its wall time is that of training."""
-    trained = [row for row in read_rows(run) if row["mode"] != "evaluate"]
-    about = {
-        "task": found["task"],
-        "method": trained[-1].get("method", run.name),
-        "seed": found["training_seed"],
-        "episode": trained[-1]["trained_episodes"] + 1,
-        "config_hash": found["config_hash"],
-        "commit": found["commit"],
-        "wall_s": training_s(run, read_rows(run), trained[-1]["episode"] + 1),
-        "cores": found["cores"],
-    }
-    return result_row(about, rows, reference_rows(found["task"], [row["episode_seed"] for row in rows]))
-
-
 def main() -> None:
     """Parse the command line, evaluate, print."""
     arguments = _arguments()
@@ -128,9 +114,8 @@ def main() -> None:
     if arguments.rows:
         text = "".join(json.dumps(row) + "\n" for row in rows)
         arguments.rows.write_text(text, encoding="utf-8")
-    if arguments.results:
-        with arguments.results.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row_of(arguments.run, found, rows)) + "\n")
+    if arguments.seed == FIRST_EVALUATION_SEED and not arguments.overrides and is_of_bench(arguments.run):
+        keep_evaluation(arguments.run, rows, found["commit"])
     print(json.dumps(found) if arguments.json else _line(found))
 
 
@@ -155,7 +140,6 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=FIRST_EVALUATION_SEED, help="of the first goal")
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="a.b=c")
     parser.add_argument("--rows", type=Path, metavar="FILE", help="write one JSON line per goal")
-    parser.add_argument("--results", type=Path, metavar="FILE", help="append the row of bench/results")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     return parser.parse_args()
 

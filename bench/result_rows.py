@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -10,11 +11,13 @@ from typing import Any
 from bench.references import HELD, reference_rows
 from bench.statistics import wilson
 from bench.summary import json_lines
+from common.storage import write_atomically
 from deploy.curriculum_files import read_rows
 from deploy.scores import Row
 
 SESSIONS_FILE = "sessions.jsonl"  # of bench.run: commit, cores and versions of each start
 TIMING_FILE = "timing.jsonl"  # of bench.run: when each episode began
+EVALUATIONS = "evaluations"  # of bench.evaluate: a file for each evaluation of a trained model
 LEAST_CEILING = 0.10  # success of the oracle below which a ratio to it says nothing
 
 _CRITERIA = ("success_paper", "success_worst", "success_15d", "success_env")
@@ -28,8 +31,8 @@ _ERRORS = {  # column → what rows call it, and the factor to the column's unit
 def result_row(about: Mapping[str, Any], rows: Sequence[Row], reference: Sequence[Row] = ()) -> Row:
     """Put together what one evaluation came to; columns that a task lacks are None.
 
-    `about` is copied (task, method, seed, episode, config_hash, commit, wall_s, cores); `reference` holds the
-    ceiling's rows of the same goals, or fewer, in which case nothing is said of it.
+    `about` is copied (`about_run`); `reference` holds the ceiling's rows of these goals, or of some, and what
+    stands beside the ceiling is then of those.
     """
     successes = {name: _rate(name, rows) for name in _CRITERIA}
     errors = {name: _mean(key, rows, factor) for name, (key, factor) in _ERRORS.items()}
@@ -46,21 +49,76 @@ def result_row(about: Mapping[str, Any], rows: Sequence[Row], reference: Sequenc
 def rows_of_run(directory: Path) -> list[Row]:
     """One row for each evaluation of a run that `bench.run` made, in order."""
     rows = read_rows(directory)
-    session = json_lines(directory / SESSIONS_FILE)[-1]
     evaluated = [row for row in rows if row["mode"] == "evaluate"]
     found: list[Row] = []
     for episode in sorted({row["trained_episodes"] for row in evaluated}):
         now = [row for row in evaluated if row["trained_episodes"] == episode]
-        about = {
-            **{name: now[0].get(name) for name in ("task", "method", "seed")},
-            "episode": episode,
-            "config_hash": now[0].get("config_hash"),
-            "commit": session["commit"],
-            "wall_s": training_s(directory, rows, now[0]["episode"]),
-            "cores": session["cores"],
-        }
-        found.append(result_row(about, now, reference_rows(about["task"], [r["episode_seed"] for r in now])))
+        about = about_run(directory, rows, now[0])
+        found.append(result_row(about, now, references_of(now)))
     return found
+
+
+def is_of_bench(directory: Path) -> bool:
+    """Whether `bench.run` made the run, and so tells commit and cores."""
+    return (directory / SESSIONS_FILE).exists()
+
+
+def trained_episodes(rows: Sequence[Row]) -> int:
+    """How many training episodes are among a run's rows."""
+    return sum(row["mode"] == "plan" for row in rows)
+
+
+def keep_evaluation(directory: Path, rows: Sequence[Row], commit: str) -> None:
+    """Keep how goals went with the model as the run left it, where `final_row` finds it."""
+    episode = trained_episodes(read_rows(directory))
+    text = "".join(json.dumps({**row, "evaluation_commit": commit}) + "\n" for row in rows)
+    (directory / EVALUATIONS).mkdir(exist_ok=True)
+    write_atomically(directory / EVALUATIONS / f"{episode:06}_{len(rows):04}.jsonl", text.encode())
+
+
+def final_row(directory: Path) -> Row | None:
+    """What a run came to, on more goals than its last evaluation had; None if nobody has looked.
+
+    Commit, configuration, wall time and cores are those of the training.
+    """
+    trained = read_rows(directory)
+    files = sorted((directory / EVALUATIONS).glob(f"{trained_episodes(trained):06}_*.jsonl"))
+    if not files:
+        return None
+    rows = json_lines(files[-1])
+    end = {"trained_episodes": trained_episodes(trained), "episode": trained[-1]["episode"] + 1}
+    about = about_run(directory, trained, {**trained[-1], **end})
+    return {**result_row(about, rows, references_of(rows)), "evaluation_commit": rows[0]["evaluation_commit"]}
+
+
+def references_of(rows: Sequence[Row]) -> list[Row]:
+    """The committed ceiling of an evaluation's goals."""
+    return reference_rows(rows[0]["task"], [row["episode_seed"] for row in rows])
+
+
+def about_run(directory: Path, rows: Sequence[Row], at: Row) -> Row:
+    """Whose result it is, at the evaluation that begins with the row `at` of the run.
+
+    `label` is what its curves are called: the name of its group in a sweep, or the method's.
+    """
+    session = json_lines(directory / SESSIONS_FILE)[-1]
+    return {
+        "task": at["task"],
+        "method": at.get("method"),
+        "label": _label(directory, at),
+        "seed": at["seed"],
+        "episode": at["trained_episodes"],
+        "config_hash": at.get("config_hash"),
+        "commit": session["commit"],
+        "wall_s": training_s(directory, rows, at["episode"]),
+        "cores": session["cores"],
+    }
+
+
+def _label(directory: Path, row: Row) -> str:
+    task, name, seed = ("", "", "", *directory.resolve().parts)[-3:]
+    in_sweep = (task, seed) == (row["task"], str(row["seed"]))
+    return name if in_sweep else row.get("method", directory.name)
 
 
 def training_s(directory: Path, rows: Sequence[Row], before: int) -> float:
@@ -79,9 +137,12 @@ def training_s(directory: Path, rows: Sequence[Row], before: int) -> float:
 def _beside(rows: Sequence[Row], reference: Sequence[Row]) -> dict[str, Any]:
     """Success over reachable goals, and ratios to the oracle's success or, where it has none, error."""
     names = ("success_reachable", "success_of_ceiling", "error_over_ceiling")
-    found: dict[str, Any] = dict.fromkeys(names)
+    found: dict[str, Any] = {**dict.fromkeys(names), "ceiling_goals": 0}
     if not reference:
         return found
+    shared = {row["episode_seed"] for row in reference}
+    rows = [row for row in rows if row["episode_seed"] in shared]
+    found["ceiling_goals"] = len(rows)
     if reference[0]["budget"] == HELD:
         reachable = {row["episode_seed"] for row in reference if row["success_paper"]}
         kept = [row for row in rows if row["episode_seed"] in reachable]

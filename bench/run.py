@@ -28,8 +28,8 @@ from rich.table import Column
 from bench.lockstep_run import LockstepRun, Stalled, assemble
 from bench.methods import METHODS, configure
 from bench.provenance import provenance
-from bench.report import report
 from bench.result_rows import SESSIONS_FILE, TIMING_FILE, rows_of_run
+from bench.run_curves import draw_runs
 from bench.summary import line, summarise
 from common.config import ConfigError, read_yaml
 from deploy.cell import Cell
@@ -181,7 +181,7 @@ def main() -> None:
         sys.exit(f"bench.run: {error}")
     except KeyboardInterrupt:
         sys.exit("stopped; the same command goes on from here")
-    report([arguments.out], arguments.out / "curve.png")
+    draw_runs([arguments.out], arguments.out / "curve.png")
     print(json.dumps(summary) if arguments.json else line(summary))
 
 

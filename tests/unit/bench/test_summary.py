@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from bench.report import evaluated, over_seeds, report, trained
+from bench.run_curves import draw_runs, evaluated, over_seeds, trained
 from bench.summary import last_evaluation, result_line, result_of
 
 ROW = {"task": "reach", "method": "gc_pmpc", "seed": 0, "steps": 50, "late": 0, "held": 0}
@@ -54,5 +54,5 @@ def test_the_picture_is_small(tmp_path):
         (tmp_path / name).mkdir()
         text = "".join(json.dumps(each) + "\n" for each in run(offset))
         (tmp_path / name / "episodes.jsonl").write_text(text)
-    report([tmp_path / "a", tmp_path / "b"], tmp_path / "curve.png")
+    draw_runs([tmp_path / "a", tmp_path / "b"], tmp_path / "curve.png")
     assert 5_000 < (tmp_path / "curve.png").stat().st_size < 500_000

@@ -1,0 +1,95 @@
+"""Committed results: rows of finished runs in bench/results/<task>.jsonl, one run a task, label and seed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from bench.references import RESULTS
+from bench.result_rows import SESSIONS_FILE, final_row, rows_of_run, trained_episodes
+from bench.summary import json_lines
+from common.config import ConfigError, read_yaml
+from common.task import TASKS
+from deploy.curriculum_files import ROWS_FILE, read_rows
+from deploy.scores import Row
+
+CONFIG_FILE = "config.yaml"  # of bench.run
+
+
+class Refused(Exception):  # noqa: N818 - reads as what happened
+    """A run that is not collected; the text says why."""
+
+
+def collect(places: Iterable[Path], unfinished: bool = False, results: Path = RESULTS) -> list[str]:
+    """Put the rows of all runs under `places` beside the committed ones; returns a line for each run.
+
+    A run replaces the committed one of its task, label and seed, unless that has come further.
+    """
+    said: list[str] = []
+    for directory in run_directories(places):
+        try:
+            rows = rows_of(directory, unfinished)
+            said.append(f"{directory}: {_put(rows, results)}")
+        except Refused as reason:
+            said.append(f"{directory}: not collected: {reason}")
+    return said
+
+
+def run_directories(places: Iterable[Path]) -> list[Path]:
+    """The runs of `bench.run` at or below these places, in order of their paths."""
+    return sorted({file.parent for place in places for file in place.rglob(SESSIONS_FILE)})
+
+
+def rows_of(directory: Path, unfinished: bool = False) -> list[Row]:
+    """What is committed of a run: a row for each evaluation, and the one of most goals as its last.
+
+    Raises Refused for a run that has not ended (unless asked for) or has other settings than a task's cell.
+    """
+    if not (directory / ROWS_FILE).exists():
+        raise Refused("no finished episode")
+    try:
+        config = read_yaml(directory / CONFIG_FILE)
+    except (ConfigError, OSError):
+        raise Refused(f"{CONFIG_FILE} cannot be read") from None
+    if config["cell"] != config["task"]:
+        raise Refused(f"cell {config['cell']} is not the one of task {config['task']}")
+    done, wanted = trained_episodes(read_rows(directory)), config["curriculum"]["episodes"]
+    if done < wanted and not unfinished:
+        raise Refused(f"{done} of {wanted} episodes; --unfinished takes it as it is")
+    rows = rows_of_run(directory)
+    if not rows:
+        raise Refused("no evaluation")
+    final = final_row(directory)
+    return [*rows, final] if final and final["goals"] > rows[-1]["goals"] else rows
+
+
+def _put(rows: Sequence[Row], results: Path) -> str:
+    """Write the rows to their task's file. Raises Refused if the committed run has come further."""
+    file = results / f"{rows[0]['task']}.jsonl"
+    committed = json_lines(file)
+    before = [row for row in committed if _run(row) == _run(rows[0])]
+    if before and _extent(rows) < _extent(before):
+        raise Refused("the committed run of this task, label and seed has come further")
+    kept = [row for row in committed if _run(row) != _run(rows[0])]
+    text = "".join(json.dumps(row) + "\n" for row in sorted([*kept, *rows], key=_order))
+    file.write_text(text, encoding="utf-8")
+    replaced = f", in place of {len(before)} of commit {before[-1]['commit']}" if before else ""
+    return f"{len(rows)} rows{replaced}"
+
+
+def _run(row: Row) -> tuple[str, str, int]:
+    return row["task"], row["label"], row["seed"]
+
+
+def _extent(rows: Sequence[Row]) -> tuple[int, int]:
+    return max((row["episode"], row["goals"]) for row in rows)
+
+
+def _order(row: Row) -> tuple[str, int, int, int]:
+    return row["label"], row["seed"], row["episode"], row["goals"]
+
+
+def committed_rows(results: Path = RESULTS) -> list[Row]:
+    """All committed rows, the tasks in their order."""
+    return [row for task in TASKS for row in json_lines(results / f"{task}.jsonl")]
