@@ -10,6 +10,7 @@ from typing import Any
 
 from bench import agents
 from bench.agents import AgentCell, AgentModel
+from bench.cost import Meter, MeteredDispatcher
 from common.built import Built, codec_for
 from common.bus import LocalBus
 from common.buslog import BusLog
@@ -47,6 +48,7 @@ class LockstepRun:
 
     lockstep: Lockstep
     dispatchers: tuple[Dispatcher, ...]
+    meter: Meter
 
     @property
     def services(self) -> Mapping[str, Service]:
@@ -119,14 +121,15 @@ def assemble(
     if snapshot is not None:
         _publish(bus, codec_for(cell.task).encode, snapshot, boot_id(cell.seed, "learner"))
     dispatchers: list[Dispatcher] = []
+    meter = Meter()
     for name in names:
         built = _build_agent(cell, agent) if name == "agent" else _build(cell, name, labels or {})
         log = None if log_dir is None else _log(cell, name, log_dir)
-        dispatchers.append(Dispatcher(built.service, codec, bus, built.ports, log))
+        dispatchers.append(MeteredDispatcher(meter, built.service, codec, bus, built.ports, log))
     run = Lockstep(dispatchers, VirtualClock(start_ns))
     for dispatcher in dispatchers:
         dispatcher.inbox.wake.set()  # a service without ticks has something to say at its start, too
-    return LockstepRun(run, tuple(dispatchers))
+    return LockstepRun(run, tuple(dispatchers), meter)
 
 
 def boot_id(seed: int, name: str) -> int:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from bench.cost import training_cost
 from bench.references import HELD, reference_rows
 from bench.statistics import wilson
 from bench.summary import json_lines
@@ -16,7 +16,6 @@ from deploy.curriculum_files import read_rows
 from deploy.scores import Row
 
 SESSIONS_FILE = "sessions.jsonl"  # of bench.run: commit, cores and versions of each start
-TIMING_FILE = "timing.jsonl"  # of bench.run: when each episode began
 EVALUATIONS = "evaluations"  # of bench.evaluate: a file for each evaluation of a trained model
 LEAST_CEILING = 0.10  # success of the oracle below which a ratio to it says nothing
 
@@ -110,7 +109,7 @@ def about_run(directory: Path, rows: Sequence[Row], at: Row) -> Row:
         "episode": at["trained_episodes"],
         "config_hash": at.get("config_hash"),
         "commit": session["commit"],
-        "wall_s": training_s(directory, rows, at["episode"]),
+        **training_cost(directory, rows, at["episode"]),
         "cores": session["cores"],
     }
 
@@ -119,19 +118,6 @@ def _label(directory: Path, row: Row) -> str:
     task, name, seed = ("", "", "", *directory.resolve().parts)[-3:]
     in_sweep = (task, seed) == (row["task"], str(row["seed"]))
     return name if in_sweep else row.get("method", directory.name)
-
-
-def training_s(directory: Path, rows: Sequence[Row], before: int) -> float:
-    """Wall time of a run's warm-up, episodes and updates ahead of an episode, without evaluations."""
-    evaluations = {row["episode"] for row in rows if row["mode"] == "evaluate"}
-    notes = json_lines(directory / TIMING_FILE)
-    spent = [
-        later["wall_s"] - note["wall_s"]
-        for note, later in pairwise(notes)
-        if note["session"] == later["session"] and note["episode"] < before
-        if note["episode"] not in evaluations
-    ]
-    return round(sum(spent), 1)
 
 
 def _beside(rows: Sequence[Row], reference: Sequence[Row]) -> dict[str, Any]:

@@ -2,9 +2,9 @@
 
     python -m bench.run --method gc_pmpc_plus --task reach --seed 0 --episodes 100 --out DIR
 
-DIR receives config.yaml, episodes.jsonl (a line per episode), timing.jsonl (when each began), sessions.jsonl
-(commit, cores and versions of each start), the learner's data and checkpoints, results.jsonl (a line per
-evaluation, the columns that methods are compared by), summary.json and curve.png.
+DIR receives config.yaml, episodes.jsonl (a line per episode), timing.jsonl (when each began, at what cost),
+sessions.jsonl (commit, cores and versions of each start), the learner's data and checkpoints, results.jsonl
+(a line per evaluation, the columns that methods are compared by), summary.json and curve.png.
 Started again it goes on where it was. Returns, errors and goals depend on seed and configuration alone, also
 after an interruption; time stamps and snapshot names do not survive one. Only an episode in the very instant
 of being stored can be lost by a kill; it is counted in `lost_episodes`.
@@ -25,10 +25,11 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Column
 
+from bench.cost import TIMING_FILE
 from bench.lockstep_run import LockstepRun, Stalled, assemble
 from bench.methods import METHODS, configure
 from bench.provenance import provenance
-from bench.result_rows import SESSIONS_FILE, TIMING_FILE, rows_of_run
+from bench.result_rows import SESSIONS_FILE, rows_of_run
 from bench.run_curves import draw_runs
 from bench.summary import line, summarise
 from common.config import ConfigError, read_yaml
@@ -50,6 +51,7 @@ class Watcher:
 
     def __init__(self, run: LockstepRun, directory: Path, session: int, bar: Progress) -> None:
         self._service = run.services["curriculum"]
+        self._meter = run.meter
         self._timing = directory / TIMING_FILE
         self._session = session
         self._bar = bar
@@ -72,9 +74,10 @@ class Watcher:
             self._show(seen.state, seen.fields)
 
     def note(self) -> None:
-        """Write down which episode is running, and for how long the session has been."""
+        """Write down which episode is running, and what the session has cost until now."""
         wall_s = round(time.monotonic() - self._begun_s, 2)
         row = {"session": self._session, "episode": int(self._episode), "wall_s": wall_s}
+        row["cpu_s"] = self._meter.read()
         with self._timing.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
 

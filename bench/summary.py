@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.cost import TIMING_FILE, cost_line, training_cost
 from bench.statistics import wilson
 from common.messages import WARMUP_MODES
 from deploy.curriculum_files import read_rows
@@ -30,6 +31,7 @@ def summarise(directory: Path) -> dict[str, Any]:
         "late_share": share(planned, "late"),
         "held_share": share(planned, "held"),
         "wall_s": _wall_s(directory),
+        "training_cost": training_cost(directory, rows),
         "sessions": len(sessions),
         "commits": sorted({session["commit"] for session in sessions}),
         "cores": sessions[-1]["cores"],
@@ -83,7 +85,7 @@ def share(rows: Sequence[Row], name: str) -> float:
 def _wall_s(directory: Path) -> float:
     """Add up the sessions, each as far as it noted an episode."""
     longest: dict[int, float] = {}
-    for row in json_lines(directory / "timing.jsonl"):
+    for row in json_lines(directory / TIMING_FILE):
         longest[row["session"]] = row["wall_s"]
     return round(sum(longest.values()), 1)
 
@@ -97,8 +99,9 @@ def json_lines(path: Path) -> list[dict[str, Any]]:
 def line(summary: dict[str, Any]) -> str:
     """Return the summary as one line for people."""
     head = "{method} on {task}, seed {seed}, {training_episodes} episodes".format(**summary)
+    cost = f"{cost_line(summary['training_cost'])}; with evaluations {summary['wall_s']:.0f} s"
     lateness = f"late {summary['late_share']:.1%}, held {summary['held_share']:.1%}"
-    return f"{head}: {result_line(summary['evaluation'])}; {lateness}; {summary['wall_s']:.0f} s of wall time"
+    return f"{head}: {result_line(summary['evaluation'])}; {lateness}; {cost}"
 
 
 def result_line(result: dict[str, Any]) -> str:

@@ -54,6 +54,7 @@ def test_a_run_leaves_rows_a_model_and_a_summary(finished):
     assert json.loads((directory / "summary.json").read_text()) == summary
     results = [json.loads(line) for line in (directory / "results.jsonl").read_text().splitlines()]
     assert [(row["episode"], row["goals"]) for row in results] == [(0, 1), (2, 1)]
+    assert all(summary["training_cost"]["cpu_s"][kind] > 0 for kind in ("train", "simulate"))
 
 
 def test_the_same_seed_gives_the_same_bytes(finished, tmp_path):

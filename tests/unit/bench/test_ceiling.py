@@ -87,17 +87,27 @@ def test_reach_counts_reachable_goals_alone():
     assert found["success_of_ceiling"] is None
 
 
-def test_a_runs_rows_leave_evaluations_out_of_its_wall_time(tmp_path):
+def test_a_runs_rows_leave_evaluations_out_of_its_cost(tmp_path):
     modes = ["random", "evaluate", "plan", "plan", "evaluate"]
     trained = [0, 0, 0, 1, 2]
     rows = [
         goal(5, 0.3, mode=mode, episode=i, trained_episodes=n, method="m") | {"task": "none", "seed": 3}
         for i, (mode, n) in enumerate(zip(modes, trained, strict=True))
     ]
-    notes = [{"session": 0, "episode": e, "wall_s": s} for e, s in ((0, 0), (1, 4), (2, 9), (3, 10), (4, 13))]
+    times = ((0, 0), (1, 4), (2, 9), (3, 10), (4, 13))
+    notes = [
+        {
+            "session": 0,
+            "episode": e,
+            "wall_s": s,
+            "cpu_s": {"plan": s / 2, "train": s / 4, "simulate": 0, "other": 0},
+        }
+        for e, s in times
+    ]
     (tmp_path / "episodes.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
     (tmp_path / "timing.jsonl").write_text("".join(json.dumps(note) + "\n" for note in notes))
     (tmp_path / "sessions.jsonl").write_text(json.dumps({"commit": "abc", "cores": 2}) + "\n")
     found = rows_of_run(tmp_path)
     assert [(row["episode"], row["wall_s"]) for row in found] == [(0, 4.0), (2, 8.0)]
+    assert [row["cpu_s"]["plan"] for row in found] == [2.0, 4.0]
     assert (found[0]["method"], found[0]["seed"], found[0]["commit"], found[0]["cores"]) == ("m", 3, "abc", 2)
