@@ -9,9 +9,10 @@ import time
 
 from common.can_config import CanConfig
 from common.dexhand021.config import DexHandConfig
+from common.process import SWITCH_S
 from services.sim.dexhand_twin import DexHandTwin
 from services.sim.emulator_config import EmulatorConfig
-from services.sim.emulator_port import SWITCH_S, EmulatorPort
+from services.sim.emulator_port import EmulatorPort
 
 
 def main() -> None:

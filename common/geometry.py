@@ -122,5 +122,5 @@ def from_rotation_vector(vector: Array) -> Array:
     xp = namespace(vector)
     half = vector / 2
     squared = xp.sum(half * half, axis=-1, keepdims=True) + _SMALL_ANGLE**2
-    angle_rad = xp.sqrt(squared)
-    return xp.concat([xp.cos(angle_rad), half * (xp.sin(angle_rad) / angle_rad)], axis=-1)
+    half_angle_rad = xp.sqrt(squared)
+    return xp.concat([xp.cos(half_angle_rad), half * (xp.sin(half_angle_rad) / half_angle_rad)], axis=-1)

@@ -23,7 +23,7 @@ from common.zenoh_bus import ZenohBus
 from common.zenoh_router import BusError
 
 # A thread that holds the interpreter is asked to let go after this long; the default, 5 ms, delays a control
-# step by as much whenever a snapshot is being read.
+# step by as much whenever a snapshot is being read, and an emulated hand's answer at any time.
 SWITCH_S = 0.0005
 
 ProcessT = TypeVar("ProcessT", bound=SharedConfig)

@@ -5,15 +5,13 @@ It answers as six boards do, over the physics of the twin: what drives it cannot
 
 from __future__ import annotations
 
-import sys
-
 from common.built import Built
 from common.config import ConfigError
 from common.process import run_process
 from common.task import get_die_task
 from services.sim.dexhand_twin import DexHandTwin
 from services.sim.emulator_config import EmulatorProcess
-from services.sim.emulator_port import FAULT_QUERY, SWITCH_S, EmulatorPort
+from services.sim.emulator_port import FAULT_QUERY, EmulatorPort
 from services.sim.emulator_service import EmulatorService
 
 
@@ -30,5 +28,4 @@ def build(config: EmulatorProcess, boot_id: int) -> Built:
 
 
 if __name__ == "__main__":
-    sys.setswitchinterval(SWITCH_S)
     run_process("emulator", EmulatorProcess, build)

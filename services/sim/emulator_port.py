@@ -29,7 +29,6 @@ from services.sim.emulator_config import EmulatorConfig, Fault, FaultKind
 from services.sim.emulator_sensors import TwinLike
 
 FAULT_QUERY = "emulator/fault"
-SWITCH_S = 0.0005  # between threads of such a process: an answer must not wait 5 ms for one to end its turn
 FRAMES_A_ROUND = 64  # answered at most before a round that is due
 LIFT_M = 0.002  # the die is laid down from so high
 NS_PER_S = 1e9

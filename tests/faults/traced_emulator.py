@@ -7,7 +7,6 @@ monotonic time, every coordinate of the model, and which motors (12,) have torqu
 """
 
 import os
-import sys
 import time
 from pathlib import Path
 
@@ -19,7 +18,6 @@ from services.sim import emulator
 from services.sim.dexhand_links import MOTOR_JOINTS
 from services.sim.dexhand_twin import DexHandTwin
 from services.sim.emulator_config import EmulatorProcess
-from services.sim.emulator_port import SWITCH_S
 
 TRACE = "physics.f8"
 
@@ -48,5 +46,4 @@ def build(config, boot_id):
 
 
 if __name__ == "__main__":
-    sys.setswitchinterval(SWITCH_S)
     run_process("emulator", EmulatorProcess, build)

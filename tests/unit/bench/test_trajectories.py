@@ -9,13 +9,14 @@ import pytest
 
 from bench import trajectories
 from bench.trajectories import EPISODES, chosen, main, planned_episodes, task_of, trajectory
+from common.dexhand021.tables import Hand
 from common.geometry import multiply
-from common.task import get_task
+from common.task import get_die_task
 from services.learner.build import LearnerProcess, build
 from services.learner.dataset import EpisodeStore
 from services.learner.episode import Episode
 
-TASK = get_task("die")
+TASK = get_die_task("die", Hand.RIGHT)
 STEPS = 20
 THUMB_ROT, RING_PIP = 2, 8
 

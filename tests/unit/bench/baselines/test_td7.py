@@ -98,7 +98,8 @@ def test_evaluation_acts_with_the_checkpoint_unless_told_otherwise():
 
 def test_targets_follow_every_so_many_updates_and_encoders_one_round_behind():
     agent = td7.Agent(SMALL.model_copy(update={"target_update_every": 2}), TASK, 0)
-    batch = td7.Batch(torch.randn(4, 4), torch.randn(4, 2), torch.randn(4, 1), torch.randn(4, 4))
+    generator = torch.Generator().manual_seed(0)
+    batch = td7.Batch(*(torch.randn(4, n, generator=generator) for n in (4, 2, 1, 4)))
     first = agent.encoder.f[0].weight.clone()
     agent.update(batch, torch.zeros(4, 2))
     assert torch.equal(agent.fixed_encoder.f[0].weight, first)

@@ -82,7 +82,7 @@ def test_the_model_read_back_predicts_the_same():
     generator = torch.Generator().manual_seed(0)
     dynamics = Dynamics.create(MODEL, Normaliser.identity(S + A, S), RAW, generator)
     read = Snapshot.from_bytes(PAYLOAD).dynamics(TOY)
-    state, action = torch.randn(2, 3, S), torch.randn(2, 3, A)
+    state, action = (torch.randn(2, 3, n, generator=generator) for n in (S, A))
     assert torch.equal(read.predict(state, action)[0], dynamics.predict(state, action)[0])
     assert not any(parameter.requires_grad for parameter in read.ensemble.parameters())
 

@@ -133,7 +133,9 @@ def test_steps_and_gradients_in_object_coordinates_equal_the_model(rows):
     task, g = get_task("egg_rotate"), seeded()
     coordinates = coordinates_of("contact", task)
     widths = (coordinates.inputs, coordinates.changes)
-    statistics = (part for n in widths for part in (0.1 * torch.randn(n, generator=g), 1 + torch.rand(n)))
+    statistics = (
+        part for n in widths for part in (0.1 * torch.randn(n, generator=g), 1 + torch.rand(n, generator=g))
+    )
     config = ModelConfig(members=B, hidden=HIDDEN, targets="standardised")
     model = Dynamics.create(config, Normaliser(*statistics), coordinates, g)
     state = 0.1 * torch.randn(B, rows, task.state_dim, generator=g)
