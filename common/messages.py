@@ -143,7 +143,7 @@ class Episode:
 class Ack:
     """`learn/ack`: the named episode is on disk (fsync) and will survive any crash."""
 
-    plant_boot_id: BootId
+    plant_boot_id: BootId  # when the try ran; the episode alone says what is safe
     episode: Count
     stored_episodes: Count
     stored_steps: Count

@@ -102,7 +102,7 @@ class PlantLoop:
         self._nothing = Executed(np.zeros(task.action_dim, np.float32), -1, -1, Fallback.NONE, False)
         self._previous = self._nothing  # executed before the present step
         self._script: Iterator[Float32] = iter(())  # actions of a warm-up episode
-        self._unacknowledged: set[tuple[int, int]] = set()
+        self._unacknowledged: set[int] = set()  # episodes
         self._counts: Counter[str] = Counter()
         self._round_trips = RoundTrips()
 
@@ -141,8 +141,8 @@ class PlantLoop:
         return self.episode is not None and self.episode.mode not in WARMUP_MODES
 
     def take_ack(self, ack: Ack) -> None:
-        """An episode is on disk."""
-        self._unacknowledged.discard((ack.plant_boot_id, ack.episode))
+        """An episode is on disk, be it from an earlier life of this plant."""
+        self._unacknowledged.discard(ack.episode)
 
     def take_episode(self, episode: Episode) -> list[Output]:
         """Begin an episode, change the goal of the present one, or stop for `idle`."""
@@ -258,7 +258,7 @@ class PlantLoop:
         if last:
             self.phase = Phase.DONE
             if self.episode.mode is not Mode.EVALUATE:
-                self._unacknowledged.add((self.boot_id, self.episode.episode))
+                self._unacknowledged.add(self.episode.episode)
         return [Publish(STEP, step)]
 
     def _step_message(self, episode: Episode, seen: Seen, waiting: bool, last: bool) -> Step:

@@ -72,7 +72,7 @@ class CurriculumService:
         self._goals_begun_ns = -1  # when the first planned episode of this process was
         self._goals_ended = 0
         self._now_ns = 0
-        self._acks: deque[tuple[int, int]] = deque(maxlen=ACKS_KEPT)  # (plant's boot, episode)
+        self._acks: deque[int] = deque(maxlen=ACKS_KEPT)  # episodes, of whichever of the plant's tries
         self._deadlines_ns: dict[int, int] = {}
         self._done = False
 
@@ -168,15 +168,15 @@ class CurriculumService:
         self._rows.append(row)
         self._board.add(row)
         self._goals_ended += assigned.mode not in WARMUP_MODES
-        self._progress = schedule.finish(self._progress, trace.boot_id, row["steps"], self._config)
+        self._progress = schedule.finish(self._progress, row["steps"], self._config)
         self._trace = None
 
     def _take_ack(self, ack: Ack) -> None:
-        self._acks.append((ack.plant_boot_id, ack.episode))
+        self._acks.append(ack.episode)
         # An ack that nobody heard shows in the count of a later one.
         if ack.stored_episodes >= schedule.stored_by(self._progress, ack.episode):
-            older = (item for item in self._progress.pending if item.episode < ack.episode)
-            self._acks.extend((item.boot_id, item.episode) for item in older)
+            older = (item.episode for item in self._progress.pending if item.episode < ack.episode)
+            self._acks.extend(older)
 
     def _take_metrics(self, metrics: Metrics) -> None:
         newest = max(self._progress.updated_after, metrics.after_episode)
@@ -188,7 +188,7 @@ class CurriculumService:
         deadline_ns = self._deadlines_ns.setdefault(pending.episode, self._now_ns + timeout_ns)
         # A learner that died between storing and telling has the episode in its next update.
         seen = self._progress.updated_after == pending.episode
-        if seen or (pending.boot_id, pending.episode) in self._acks:
+        if seen or pending.episode in self._acks:
             self._progress = schedule.acknowledge(self._progress, pending)
         elif self._now_ns >= deadline_ns:
             self._progress = schedule.lose(self._progress, pending)

@@ -22,11 +22,13 @@ class Assignment(Frozen):
     seed: int
 
 
-class Pending(Frozen):
-    """A finished episode whose acknowledgement is still to come."""
+class Pending(Frozen, extra="ignore"):  # older files also say in which of the plant's lives it ran
+    """A finished episode whose acknowledgement is still to come.
+
+    A restarted plant runs its episode again, and the learner keeps the first whole try: either settles it.
+    """
 
     episode: int
-    boot_id: int  # the plant's
     mode: Mode
     steps: int
 
@@ -122,14 +124,14 @@ def idle(progress: Progress) -> Assignment:
     return Assignment(episode=progress.next_id, mode=Mode.IDLE, index=0, seed=0)
 
 
-def finish(progress: Progress, boot_id: int, steps: int, config: CurriculumProcess) -> Progress:
-    """Account for the assigned episode, run to its end by the plant `boot_id` with `steps` steps."""
+def finish(progress: Progress, steps: int, config: CurriculumProcess) -> Progress:
+    """Account for the assigned episode, run to its end with `steps` steps."""
     done = progress.assigned
     if done is None:
         raise ValueError("no episode is assigned")
     if done.mode is Mode.EVALUATE:
         return progress.model_copy(update={"assigned": None} | _evaluated(progress, config))
-    waiting = Pending(episode=done.episode, boot_id=boot_id, mode=done.mode, steps=steps)
+    waiting = Pending(episode=done.episode, mode=done.mode, steps=steps)
     update: dict[str, object] = {"assigned": None, "pending": (*progress.pending, waiting)}
     if done.mode in WARMUP_MODES:
         update["warmup_steps"] = progress.warmup_steps + steps

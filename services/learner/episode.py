@@ -26,7 +26,7 @@ class EpisodeRefused(Exception):  # noqa: N818 - reads as what happened
 class Episode:
     """A recorded episode; states[t] → actions[t] → states[t + 1]."""
 
-    boot_id: int  # the plant's, for whom an acknowledgement is meant
+    boot_id: int  # the plant's, when it ran
     episode: int  # given out once in a run: the identity of an episode
     mode: str  # random, plan or glove
     states: Float32  # (T + 1, S)

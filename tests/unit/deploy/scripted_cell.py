@@ -107,6 +107,7 @@ class ScriptedLearner:
         self.warmup_steps = warmup_steps
         self.ack_ns, self.update_ns, self.loses = ack_ns, update_ns, loses
         self.silent: tuple[int, ...] = ()  # stored, but the ack gets lost
+        self.stored_as: dict[int, int] = {}  # episodes that are on disk from another life of the plant
         self.steps = 0
         self.episodes = 0
         self.newest = -1
@@ -137,6 +138,9 @@ class ScriptedLearner:
 
     def _stored(self, value: object, now_ns: int) -> list[Output]:
         boot_id, step = value
+        if step.episode in self.stored_as:
+            self.steps += step.k
+            return [Publish(ACK, Ack(self.stored_as[step.episode], step.episode, self.episodes, self.steps))]
         self.acked_ns[step.episode] = now_ns
         self.steps += step.k
         self.episodes += 1

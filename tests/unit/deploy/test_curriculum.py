@@ -126,6 +126,25 @@ def test_an_ack_that_nobody_heard_shows_in_the_count_of_the_next(tmp_path):
     assert cell.curriculum.report().fields["lost_episodes"] == 0
 
 
+@pytest.mark.parametrize("number", [1, 5])
+def test_an_episode_that_is_on_disk_from_an_earlier_life_of_the_plant_is_not_lost(tmp_path, number):
+    cell = ScriptedCell(config(tmp_path, wait_for_update=False, evaluate_goals=0))
+    cell.learner.stored_as = {number: cell.plant.boot_id + 1}
+    assert cell.run(seconds=25)  # less than an acknowledgement is waited for
+    assert cell.modes == [*["random"] * 4, *["plan"] * 3, "idle"]
+    assert cell.curriculum.report().fields["lost_episodes"] == 0
+
+
+def test_a_state_that_names_the_plant_of_a_pending_episode_is_understood(tmp_path):
+    cell = ScriptedCell(config(tmp_path), learner=ScriptedLearner(20, loses=(6,)))
+    cell.run(seconds=5)
+    state = json.loads((tmp_path / STATE_FILE).read_text())
+    assert [pending["episode"] for pending in state["progress"]["pending"]] == [6]
+    state["progress"]["pending"][0]["boot_id"] = 1
+    (tmp_path / STATE_FILE).write_text(json.dumps(state))
+    assert CurriculumFiles(tmp_path, "reach", 7).load()[0].pending[0].episode == 6
+
+
 def test_it_says_what_it_waits_for(tmp_path):
     cell = ScriptedCell(config(tmp_path), learner=ScriptedLearner(20, update_ns=50 * SECOND_NS))
     cell.run(seconds=10)

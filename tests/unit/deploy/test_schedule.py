@@ -18,7 +18,7 @@ def play(settings, lose=lambda assignment: False):
             continue
         progress = schedule.assign(progress, chosen)
         played.append((chosen, progress))
-        progress = schedule.finish(progress, 1, settings.curriculum.episode_steps, settings)
+        progress = schedule.finish(progress, settings.curriculum.episode_steps, settings)
         for pending in progress.pending:
             settle = schedule.lose if lose(chosen) else schedule.acknowledge
             progress = settle(progress, pending)
@@ -50,7 +50,7 @@ def test_lost_warm_up_steps_are_collected_again(tmp_path):
 
 
 def test_a_lost_goal_is_not_waited_for(tmp_path):
-    pending = Pending(episode=9, boot_id=1, mode=Mode.PLAN, steps=5)
+    pending = Pending(episode=9, mode=Mode.PLAN, steps=5)
     before = Progress(
         next_id=10, warmup_steps=20, trained=2, evaluated_at=2, updated_after=8, pending=(pending,)
     )

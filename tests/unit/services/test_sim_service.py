@@ -131,12 +131,15 @@ def test_finished_episodes_wait_for_their_acknowledgement_evaluations_do_not():
         for _ in range(3):
             plant.turn(1)
     assert plant.fields["unacknowledged"] == 2
-    plant.send(ACK, ack(3, boot=PLANT + 1))
+    plant.send(ACK, ack(2))
     plant.turn()
     assert plant.fields["unacknowledged"] == 2
     plant.send(ACK, ack(3))
     plant.turn()
     assert plant.fields["unacknowledged"] == 1
+    plant.send(ACK, ack(5, boot=PLANT - 1))  # stored when this plant was another process
+    plant.turn()
+    assert plant.fields["unacknowledged"] == 0
 
 
 def running(**control):
