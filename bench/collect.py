@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from bench.references import RESULTS
-from bench.result_rows import SESSIONS_FILE, final_row, rows_of_run, trained_episodes
+from bench.result_rows import SESSIONS_FILE, results_of, trained_episodes
 from bench.summary import json_lines
 from common.config import ConfigError, read_yaml
 from common.task import TASKS
@@ -54,14 +54,13 @@ def rows_of(directory: Path, unfinished: bool = False) -> list[Row]:
         raise Refused(f"{CONFIG_FILE} cannot be read") from None
     if config["cell"] != config["task"]:
         raise Refused(f"cell {config['cell']} is not the one of task {config['task']}")
-    done, wanted = trained_episodes(read_rows(directory)), config["curriculum"]["episodes"]
+    episodes = read_rows(directory)
+    done, wanted = trained_episodes(episodes), config["curriculum"]["episodes"]
     if done < wanted and not unfinished:
         raise Refused(f"{done} of {wanted} episodes; --unfinished takes it as it is")
-    rows = rows_of_run(directory)
-    if not rows:
+    if not any(row["mode"] == "evaluate" for row in episodes):
         raise Refused("no evaluation")
-    final = final_row(directory)
-    return [*rows, final] if final and final["goals"] > rows[-1]["goals"] else rows
+    return results_of(directory)
 
 
 def _put(rows: Sequence[Row], results: Path) -> str:

@@ -23,7 +23,7 @@ from rich.progress import Progress
 from bench.agents import AgentCell, AgentModel, load_agent
 from bench.lockstep_run import WITHOUT_LEARNER, LockstepRun, Stalled, assemble
 from bench.methods import cell_of
-from bench.provenance import provenance
+from bench.provenance import commit, provenance
 from bench.result_rows import is_of_bench, keep_evaluation
 from bench.summary import result_line, result_of, share
 from common.config import ConfigError, read_yaml, with_overrides
@@ -75,6 +75,12 @@ def evaluate(
             run = assemble(alone, WITHOUT_LEARNER, snapshot=model)
         run.drive(lambda: watch(run))
         return read_rows(Path(directory))
+
+
+def evaluate_end(run: Path, goals: int) -> None:
+    """Evaluate what a run learned last on the first held-out goals, and keep how they went beside it."""
+    cell = configuration(run, goals, FIRST_EVALUATION_SEED, ())
+    keep_evaluation(run, evaluate(cell, load_model(cell, run)), commit())
 
 
 def result(cell: Cell, model: Snapshot | AgentModel, rows: list[Row], wall_s: float) -> dict[str, Any]:

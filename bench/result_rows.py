@@ -57,6 +57,12 @@ def rows_of_run(directory: Path) -> list[Row]:
     return found
 
 
+def results_of(directory: Path) -> list[Row]:
+    """All rows of a run: one for each evaluation and, if `bench.evaluate` had more goals, its final one."""
+    rows, final = rows_of_run(directory), final_row(directory)
+    return [*rows, final] if final and final["goals"] > rows[-1]["goals"] else rows
+
+
 def is_of_bench(directory: Path) -> bool:
     """Whether `bench.run` made the run, and so tells commit and cores."""
     return (directory / SESSIONS_FILE).exists()
@@ -75,16 +81,21 @@ def keep_evaluation(directory: Path, rows: Sequence[Row], commit: str) -> None:
     write_atomically(directory / EVALUATIONS / f"{episode:06}_{len(rows):04}.jsonl", text.encode())
 
 
+def kept_evaluation(directory: Path, episode: int) -> list[Row]:
+    """How the goals went in the largest evaluation after `episode` training episodes; empty without one."""
+    files = sorted((directory / EVALUATIONS).glob(f"{episode:06}_*.jsonl"))
+    return json_lines(files[-1]) if files else []
+
+
 def final_row(directory: Path) -> Row | None:
     """What a run came to, on more goals than its last evaluation had; None if nobody has looked.
 
     Commit, configuration, wall time and cores are those of the training.
     """
     trained = read_rows(directory)
-    files = sorted((directory / EVALUATIONS).glob(f"{trained_episodes(trained):06}_*.jsonl"))
-    if not files:
+    rows = kept_evaluation(directory, trained_episodes(trained))
+    if not rows:
         return None
-    rows = json_lines(files[-1])
     end = {"trained_episodes": trained_episodes(trained), "episode": trained[-1]["episode"] + 1}
     about = about_run(directory, trained, {**trained[-1], **end})
     return {**result_row(about, rows, references_of(rows)), "evaluation_commit": rows[0]["evaluation_commit"]}

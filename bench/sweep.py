@@ -7,11 +7,12 @@ The file names a folder and groups of runs; every combination of a group is one 
 
     out: runs/sweep
     groups:
-      - {tasks: [reach, egg_rotate], methods: [gc_pmpc, pets], seeds: [0, 1, 2], episodes: 100}
+      - {tasks: [reach, egg], methods: [gc_pmpc, pets], seeds: [0, 1, 2], episodes: 100, final_goals: 100}
       - {tasks: [reach], methods: [gc_pmpc], seeds: [0], name: wide, set: ["model.hidden=[1024, 1024]"]}
 
 A run's results are in OUT/TASK/NAME/SEED, NAME being its group's or its method's; the rows of all finished
 runs in OUT/results.jsonl. Runs have one thread each. SIGINT ends this machine's runs; start again to go on.
+`--only reach/pets/1` makes a single run; after training it is evaluated on `final_goals` held-out goals.
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ import contextlib
 import json
 import os
 import sys
+import traceback
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from itertools import product
 from multiprocessing import get_context
@@ -32,13 +34,20 @@ from typing import Any
 import yaml
 from pydantic import Field
 
+from bench.evaluate import evaluate_end
 from bench.methods import configure
-from bench.result_rows import rows_of_run
+from bench.result_rows import kept_evaluation, results_of, trained_episodes
 from bench.run import SUMMARY_FILE, train
+from bench.summary import line, summarise
 from common.config import ConfigError, Frozen, load
 from deploy.cell import Cell
+from deploy.curriculum_files import ROWS_FILE, read_rows
+from deploy.scores import Row
 
 RESULTS_FILE = "results.jsonl"
+OUTPUT_FILE = "output.txt"  # of each run: what it printed, and why it failed
+FAILED = "FAILED"
+LOOK_EVERY_S = 60.0  # to say how far the runs on this machine are
 
 
 class Group(Frozen):
@@ -48,6 +57,7 @@ class Group(Frozen):
     methods: tuple[str, ...] = Field(default=("gc_pmpc_plus",), min_length=1)
     seeds: tuple[int, ...] = Field(default=(0,), min_length=1)
     episodes: int | None = Field(default=None, ge=0, description="of training; default: the cell's")
+    final_goals: int = Field(default=0, ge=0, description="held-out, of an evaluation after training")
     name: str = Field(default="", pattern=r"^[\w.-]*$", description="of its folder; default: the method")
     set: tuple[str, ...] = Field(default=(), description="changes of the cell, as a.b=c")
 
@@ -68,6 +78,7 @@ class Run:
     seed: int
     overrides: tuple[str, ...]
     directory: Path
+    final_goals: int = 0
 
     @property
     def name(self) -> str:
@@ -86,7 +97,8 @@ def runs_of(sweep: Sweep) -> list[Run]:
         length = () if group.episodes is None else (f"curriculum.episodes={group.episodes}",)
         for task, method, seed in product(group.tasks, group.methods, group.seeds):
             directory = sweep.out / task / (group.name or method) / str(seed)
-            found.append(Run(task, method, seed, (*length, *group.set), directory))
+            overrides = (*length, *group.set)
+            found.append(Run(task, method, seed, overrides, directory, group.final_goals))
     for run in found:
         run.cell()
     double = [run.name for i, run in enumerate(found) if run.directory in {r.directory for r in found[:i]}]
@@ -95,7 +107,19 @@ def runs_of(sweep: Sweep) -> list[Run]:
     return found
 
 
-def finished(run: Run) -> bool:
+def chosen(runs: Sequence[Run], names: Sequence[str]) -> list[Run]:
+    """The runs that `names` name, such as reach/td7/0, or all of reach/td7 or reach. Raises ConfigError."""
+    unknown = [name for name in names if not any(_is_named(run, name) for run in runs)]
+    if unknown:
+        raise ConfigError([f"--only {unknown[0]}: no such run; --dry-run lists them"])
+    return [run for run in runs if any(_is_named(run, name) for name in names)]
+
+
+def _is_named(run: Run, name: str) -> bool:
+    return f"{run.name}/".startswith(f"{name.rstrip('/')}/")
+
+
+def trained(run: Run) -> bool:
     """Whether the run has its summary, of at least as many episodes as asked for."""
     try:
         summary = json.loads((run.directory / SUMMARY_FILE).read_text(encoding="utf-8"))
@@ -104,28 +128,62 @@ def finished(run: Run) -> bool:
     return summary["training_episodes"] >= run.cell().curriculum.episodes
 
 
+def finished(run: Run) -> bool:
+    """Whether the run is trained and, if that was asked for, evaluated at its end."""
+    return trained(run) and len(_evaluation(run)) >= run.final_goals
+
+
+def _evaluation(run: Run) -> list[Row]:
+    return kept_evaluation(run.directory, trained_episodes(read_rows(run.directory)))
+
+
 def execute(run: Run) -> str:
-    """Train, or go on training, in this process with one thread; returns what it came to."""
+    """Train, or go on training, and evaluate, in this process with one thread; returns what it came to."""
     import torch
 
     torch.set_num_threads(1)
     run.directory.mkdir(parents=True, exist_ok=True)
-    with (run.directory / "output.txt").open("a", encoding="utf-8") as out, contextlib.redirect_stderr(out):
-        summary = train(run.cell(), run.method, run.directory)
-    return f"{summary['training_episodes']} episodes in {summary['wall_s']:.0f} s"
+    with (run.directory / OUTPUT_FILE).open("a", encoding="utf-8") as out, contextlib.redirect_stderr(out):
+        try:
+            if not trained(run):
+                train(run.cell(), run.method, run.directory)
+            if len(_evaluation(run)) < run.final_goals:
+                evaluate_end(run.directory, run.final_goals)
+        except BaseException:
+            traceback.print_exc(file=out)
+            raise
+    return line(summarise(run.directory))
+
+
+def state(run: Run) -> str:
+    """How far a run is, such as `reach/td7/0 12/100`, the number being that of training episodes."""
+    file = run.directory / ROWS_FILE
+    done = file.read_bytes().count(b'"mode": "plan"') if file.exists() else 0
+    return f"{run.name} {done}/{run.cell().curriculum.episodes}"
 
 
 def on_this_machine(runs: Sequence[Run], jobs: int) -> Iterator[tuple[Run, str]]:
     """Execute at most `jobs` runs at once, each in a fresh process; yields what became of each."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    context = get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context, max_tasks_per_child=1) as pool:
-        futures: dict[Future[str], Run] = {pool.submit(execute, run): run for run in runs}
+    threads = ThreadPoolExecutor(jobs)
+    try:
+        futures = {threads.submit(_in_a_process, run): run for run in runs}
         pending = set(futures)
         while pending:
-            done, pending = wait(pending, return_when=FIRST_COMPLETED)
+            done, pending = wait(pending, LOOK_EVERY_S, FIRST_COMPLETED)
+            if not done:
+                underway = ", ".join(state(run) for each, run in futures.items() if each.running())
+                print(f"{len(pending)} to do; {underway}", file=sys.stderr)
             for future in done:
                 yield futures[future], _outcome(future)
+    finally:
+        threads.shutdown(cancel_futures=True)
+
+
+def _in_a_process(run: Run) -> str:
+    """Execute a run in a pool of its own: whatever kills the process, the other runs go on."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(execute, run).result()
 
 
 def on_a_cluster(
@@ -149,13 +207,14 @@ def _outcome(future: Any) -> str:
         return future.result()
     except Exception as error:  # whatever it was, the other runs go on
         lines = str(error).strip().splitlines()
-        return f"FAILED: {type(error).__name__}: {lines[-1] if lines else ''}"
+        return f"{FAILED}: {type(error).__name__}: {lines[-1] if lines else ''}"
 
 
 def gather(sweep: Sweep, runs: Sequence[Run]) -> int:
     """Write the rows of all finished runs into one file; returns how many runs that are."""
     done = [run for run in runs if finished(run)]
-    text = "".join(json.dumps(row) + "\n" for run in done for row in rows_of_run(run.directory))
+    text = "".join(json.dumps(row) + "\n" for run in done for row in results_of(run.directory))
+    sweep.out.mkdir(parents=True, exist_ok=True)
     (sweep.out / RESULTS_FILE).write_text(text, encoding="utf-8")
     return len(done)
 
@@ -166,26 +225,27 @@ def main() -> None:
     try:
         sweep = load(Sweep, arguments.file)
         runs = runs_of(sweep)
-        left = [run for run in runs if not finished(run)]
-        print(f"{len(runs)} runs, {len(left)} to do", file=sys.stderr)
-        outcomes = _start(left, sweep, arguments)
-        failures = 0
-        for run, outcome in outcomes:
-            failures += outcome.startswith("FAILED")
+        picked = chosen(runs, arguments.only) if arguments.only else runs
+        left = [run for run in picked if not finished(run)]
+        print(f"{len(picked)} runs, {len(left)} to do", file=sys.stderr)
+        failed: list[str] = []
+        for run, outcome in _start(left, sweep, arguments):
+            failed += [run.name] if outcome.startswith(FAILED) else []
             print(f"{run.name}: {outcome}", file=sys.stderr)
     except ConfigError as error:
         sys.exit(f"bench.sweep: {error}")
     except KeyboardInterrupt:
         sys.exit("stopped; the same command goes on from here")
-    sweep.out.mkdir(parents=True, exist_ok=True)
     done = gather(sweep, runs)
-    found = {"runs": len(runs), "finished": done, "results": str(sweep.out / RESULTS_FILE)}
-    print(
-        json.dumps(found)
-        if arguments.json
-        else f"{done} of {len(runs)} runs are finished: {found['results']}"
-    )
-    sys.exit(1 if failures else 0)
+    found = {"runs": len(runs), "finished": done, "failed": failed, "results": str(sweep.out / RESULTS_FILE)}
+    print(json.dumps(found) if arguments.json else _line(found))
+    sys.exit(1 if failed else 0)
+
+
+def _line(found: Mapping[str, Any]) -> str:
+    said = f"{found['finished']} of {found['runs']} runs are finished: {found['results']}"
+    failed = f"\nfailed (see {OUTPUT_FILE} in their folders): {', '.join(found['failed'])}"
+    return said + (failed if found["failed"] else "")
 
 
 def _start(runs: Sequence[Run], sweep: Sweep, arguments: argparse.Namespace) -> Iterator[tuple[Run, str]]:
@@ -211,6 +271,13 @@ def _arguments() -> argparse.Namespace:
         "--cluster", choices=("slurm", "local"), help="submit each run; local: as SLURM would, but here"
     )
     parser.add_argument("--slurm", action="append", default=[], metavar="a=b", help="partition=cpu and such")
+    parser.add_argument(
+        "--only",
+        action="append",
+        default=[],
+        metavar="RUN",
+        help="one, as reach/td7/0, or reach/td7, or reach",
+    )
     parser.add_argument("--dry-run", action="store_true", help="say what would be run")
     parser.add_argument("--json", action="store_true", help="print JSON")
     return parser.parse_args()
