@@ -6,6 +6,7 @@ import types
 from collections.abc import Mapping
 
 import common.dexhand021.config as hand
+import common.dexhand021.glove_config as glove
 import services.hand_io.config as hand_io
 import services.hand_io.limits_config as limits
 import services.sim.dexhand_physics as twin
@@ -21,6 +22,7 @@ ASSUMPTIONS: Mapping[str, tuple[Confirm, ...]] = types.MappingProxyType(
         "hand_io": hand_io.CONFIRM_ON_HARDWARE,
         "emulator": emulator.CONFIRM_ON_HARDWARE,
         "twin": twin.CONFIRM_ON_HARDWARE,
+        "glove": glove.CONFIRM_ON_HARDWARE,
     }
 )
 

@@ -57,6 +57,10 @@ class DexHandConfig(Frozen):
         default=(1.0, 1.0, 2.0), description="index, ring and little finger's angle per spread motor angle"
     )
 
+    startup_frame: Literal["restart", "ignored"] = Field(
+        default="restart", description="what a frame of 0x400 + board says, whatever its bytes are"
+    )
+
     @property
     def control_mode(self) -> ControlMode:
         """The mode byte of motion commands."""
@@ -139,6 +143,12 @@ CONFIRM_ON_HARDWARE = (
     ),
     Confirm(
         "",
+        "the palm looks up, turned by 15 degrees about its long axis, thumb lower (common/task/die.py)",
+        "the paper does not say how its hand is mounted; a dropped die and an uppermost face depend on it",
+        "put a level on the back of the hand before the first episode",
+    ),
+    Confirm(
+        "",
         "joints go no further than the narrower of the ranges of SDK and model (common/dexhand021/tables.py)",
         "they disagree: flexion 90 or 74.5 degrees, rotation 150 or 126, spread 30 or 17.2",
         "lower the current, command each end in turn, read the angle sensor and look whether it arrives",
@@ -156,9 +166,9 @@ CONFIRM_ON_HARDWARE = (
         "compare the counter `warnings` with angles and temperatures when it grows",
     ),
     Confirm(
-        "",
-        "a start-up frame means that its board has restarted, whatever is in it: what runs is ended",
-        "the layout of its payload is not public",
-        "switch the hand on while `candump -x` runs; it must be one such frame a board",
+        "startup_frame",
+        "restart",
+        "the layout is not public, so no byte of it is read; a board that has restarted ends what runs",
+        "switch the hand on while `candump -x` runs: one such frame a board, or `ignored` if more follow",
     ),
 )

@@ -8,6 +8,7 @@ from typing import Annotated
 from pydantic import Field, field_validator
 
 from common.config import Frozen
+from common.dexhand021.config import Confirm
 from common.dexhand021.glove_recording import COLUMNS, TIME_COLUMNS, Unit
 from common.dexhand021.tables import MOTORS
 
@@ -79,3 +80,31 @@ class GloveConfig(Frozen):
             for source in self.sources
         ]
         return self.model_copy(update={"sources": tuple(sources)})
+
+
+CONFIRM_ON_HARDWARE = (
+    Confirm(
+        "unit",
+        "auto",
+        "the paper's glove is not public, and the Manus export names no unit: degrees unless that cannot be",
+        "bend one finger of the glove to a right angle and read its column",
+    ),
+    Confirm(
+        "names",
+        "{}",
+        "names are those of Manus, flexion is positive, and the thumb's PIP and DIP are its MCP and IP",
+        "move one joint of the glove after another and see which column changes, and which way",
+    ),
+    Confirm(
+        "sources",
+        "()",
+        "a person without a fit has gain 1 and offset 0; how far a glove reads a hand true is not public",
+        "`python -m deploy.glove fit` over six postures; `check` says which motors are cut",
+    ),
+    Confirm(
+        "",
+        "twenty angles become twelve motors by the map of docs/guides/glove.md (common/dexhand021/glove.py)",
+        "no map is published: mean of PIP and DIP, mean spread of three fingers, thumb rotation from its CMC",
+        "replay a recording on the twin (`curriculum.warmup=glove`), then on the hand at the lowest current",
+    ),
+)

@@ -130,16 +130,17 @@ def _times(table: Table, called: Mapping[str, str], max_gap_s: float) -> NDArray
     values = _numbers(table, name)
     if len(values) < 2:
         raise GloveError(f"{table.source}: a recording has 2 rows at least, this one {len(values)}")
-    t_ns = np.rint((values - values[0]) * scale_ns).astype(np.int64)
-    steps_s = np.diff(t_ns) / 1e9
-    wrong = np.flatnonzero((steps_s <= 0.0) | (steps_s > max_gap_s))
+    with np.errstate(over="ignore", invalid="ignore"):  # nonsense is no step
+        t_ns = np.rint((values - values[0]) * scale_ns)
+        steps_s = np.diff(t_ns) / 1e9
+    wrong = np.flatnonzero(~((steps_s > 0.0) & (steps_s <= max_gap_s)))
     if wrong.size:
         row, step_s = int(wrong[0]) + 1, float(steps_s[wrong[0]])
         where = _at(table, row, name)
         if step_s <= 0.0:
             raise GloveError(f"{where}: time does not advance after row {row}")
         raise GloveError(f"{where}: a gap of {step_s:.3g} s after row {row}, more than {max_gap_s:g} s")
-    return t_ns
+    return t_ns.astype(np.int64)
 
 
 def _time_column(table: Table, called: Mapping[str, str]) -> tuple[str, float]:

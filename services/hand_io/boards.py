@@ -79,7 +79,8 @@ class Boards:
             case WarningReport():
                 self.counts["warnings"] += 1
             case Startup():
-                self.counts["starts"] += 1
+                restarted = self._hand.startup_frame == "restart"
+                self.counts["starts" if restarted else "ignored_starts"] += 1
             case _:
                 self.counts["answers"] += 1
         return None

@@ -220,7 +220,8 @@ class EmulatedHand:
             return [OverTemperature(self._id(board)) for board in hot]
         if was_off and not self._off:
             self._enabled[:], self._latched[:] = False, False
-            return [Startup(self._id(board), bytes(8)) for board in range(len(BOARDS))]
+            nothing = bytes(self._config.startup_bytes)
+            return [Startup(self._id(board), nothing) for board in range(len(BOARDS))]
         return []
 
     def _id(self, board: int) -> int:

@@ -48,6 +48,7 @@ class EmulatorConfig(Frozen):
         default=56, description="length of a status, before padding to what CAN FD can express"
     )
     firmware: int = Field(default=25418, ge=0, le=65535, description="as read from a board's memory")
+    startup_bytes: int = Field(default=8, ge=0, le=64, description="zeros in a start-up frame")
     silence_s: float = Field(default=0.5, gt=0.0, description="without a command for so long it goes limp")
     physics_hz: float = Field(default=100.0, ge=20.0, le=250.0, description="rounds of physics a second")
     pose_hz: float = Field(default=30.0, gt=0.0, le=100.0, description="poses of the die a second")
@@ -58,6 +59,12 @@ class EmulatorConfig(Frozen):
 
 
 CONFIRM_ON_HARDWARE = (
+    Confirm(
+        "silence_s",
+        "0.5",
+        "whether and when the boards let go without commands is not public; hand_io lets go when it ends",
+        "hold a joint at the lowest current, pull the adapter's cable, and time how long it resists",
+    ),
     Confirm(
         "firmware",
         "25418",
@@ -70,6 +77,7 @@ CONFIRM_ON_HARDWARE = (
         "the longest that is documented; see `hand.feedback_bytes`",
         "`candump -x` shows the length of each board's replies",
     ),
+    Confirm("startup_bytes", "8", "not public, see `hand.startup_frame`", "as there; nothing depends on it"),
 )
 
 

@@ -116,7 +116,8 @@ def test_heat_powers_the_hand_off_and_boards_start_anew():
     bench = Bench({"kind": "overheat", "board": "ring", "at_s": 0.02, "for_s": 0.05})
     answers = [bench.go() for _ in range(12)]
     assert bench.said[0] == OverTemperature(11) and bench.move() != []
-    assert [reply.board for reply in bench.said[1:] if isinstance(reply, Startup)] == list(range(7, 13))
+    started = [reply for reply in bench.said[1:] if isinstance(reply, Startup)]
+    assert started == [Startup(board, bytes(8)) for board in range(7, 13)]
     assert [len(each) for each in answers[:9]] == [6, 6, 0, 0, 0, 0, 0, 6, 6]
 
 
