@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from pydantic import ValidationError
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Column
@@ -133,14 +134,22 @@ def train(cell: Cell, method: str, directory: Path, log: bool = False) -> dict[s
 def _claim(cell: Cell, directory: Path) -> None:
     """Keep the configuration beside its results, and refuse to mix two."""
     path = directory / CONFIG_FILE
-    now = cell.model_dump(mode="json")
-    if path.exists() and _comparable(read_yaml(path)) != _comparable(now):
+    if path.exists() and not _same(cell, read_yaml(path)):
         raise ConfigError([f"{directory}: holds a run with another configuration; choose another --out"])
-    path.write_text(yaml.safe_dump(now, sort_keys=False), encoding="utf-8")
+    path.write_text(yaml.safe_dump(cell.model_dump(mode="json"), sort_keys=False), encoding="utf-8")
 
 
-def _comparable(data: Mapping[str, Any]) -> dict[str, Any]:
-    kept = {name: value for name, value in data.items() if name not in _EXTENDABLE}
+def _same(cell: Cell, before: Mapping[str, Any]) -> bool:
+    """Whether a run begun as `before` may go on as `cell`; options that are newer had their default."""
+    try:
+        began = type(cell).model_validate(before)
+    except ValidationError:
+        return False
+    return _comparable(began) == _comparable(cell)
+
+
+def _comparable(cell: Cell) -> dict[str, Any]:
+    kept = {name: value for name, value in cell.model_dump(mode="json").items() if name not in _EXTENDABLE}
     return {**kept, "curriculum": {**kept["curriculum"], "episodes": None}}
 
 

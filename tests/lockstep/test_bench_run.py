@@ -3,14 +3,16 @@
 import json
 import subprocess
 import sys
+from contextlib import nullcontext
 
 import pytest
+import yaml
 
 from bench import evaluate as evaluation
 from bench.lockstep_run import assemble
 from bench.methods import configure
 from bench.result_rows import final_row, keep_evaluation
-from bench.run import train
+from bench.run import _claim, train
 from common.buslog import log_files
 from common.config import ConfigError
 from deploy.curriculum_files import read_rows
@@ -82,6 +84,18 @@ def test_a_run_with_another_configuration_is_refused(finished):
     directory, _ = finished
     with pytest.raises(ConfigError, match="another configuration"):
         train(tiny(directory, "planner.horizon=6"), "gc_pmpc_plus", directory)
+
+
+@pytest.mark.parametrize(("was", "same"), [({}, True), ({"hold_steps": 7}, False), ({"gone": 1}, False)])
+def test_an_option_that_is_newer_than_the_run_had_its_default(tmp_path, was, same):
+    cell = tiny(tmp_path)
+    before = cell.model_dump(mode="json")
+    del before["control"]["hold_steps"]
+    before["control"] |= was
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(before))
+    with nullcontext() if same else pytest.raises(ConfigError, match="another configuration"):
+        _claim(cell, tmp_path)
+    assert (yaml.safe_load((tmp_path / "config.yaml").read_text()) != before) is same
 
 
 def test_evaluation_runs_the_newest_model_on_held_out_goals(finished):

@@ -88,6 +88,11 @@ def cut_out(first, last):
             "more than 0.2 s",
         ),
         (
+            spoil(5, 1, "1e300"),
+            "take.csv: row 5, column Elapsed_Time_In_Milliseconds: a gap of 1e+297 s after row 4, "
+            "more than 0.2 s",
+        ),
+        (
             spoil(5, 1, "50.0"),
             "take.csv: row 5, column Elapsed_Time_In_Milliseconds: time does not advance after row 4",
         ),
