@@ -87,6 +87,11 @@ class PlannerConfig(Frozen):
     disagreement_weight: float = Field(
         default=0.0, ge=0.0, description="per unit of the return's std over particles"
     )
+    tail_steps: float = Field(
+        default=0.0,
+        ge=0.0,
+        description="further steps for which the last predicted reward stands; fewer as the episode ends",
+    )
 
     # Search over candidates.
     search: Literal["cem", "icem", "none"] = Field(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -18,7 +18,7 @@ Term = Callable[[Tensor], Tensor]
 
 @dataclass(frozen=True)
 class Objective:
-    """J = mean_p[ Σ_{h=1..H} R(ŝ_h) - λ Σ_{h=0..H-1} ‖ŝ_{h+1} - ŝ_h‖₁ + terms ] - w · std_p[ same ].
+    """J = mean_p[ Σ_{h=1..H} R(ŝ_h) + T R(ŝ_H) - λ Σ_{h=0..H-1} ‖ŝ_{h+1} - ŝ_h‖₁ + terms ] - w · std_p[same].
 
     H horizon, P particles, N candidates, S state, G goal. ŝ_0 is where the candidates start.
     """
@@ -34,6 +34,9 @@ class Objective:
     smooth_weight: float = 0.0
     disagreement_weight: float = 0.0
     terms: tuple[Term, ...] = ()
+    # Paper: H reaches to the episode's end. A shorter one prefers what is near now to what leads further;
+    # T steps in which nothing changes after ŝ_H stand for the rest.
+    tail_steps: float = 0.0
 
     @staticmethod
     def create(task: Task, config: PlannerConfig, terms: tuple[Term, ...] = ()) -> Objective:
@@ -48,14 +51,20 @@ class Objective:
             sign * config.smooth_weight,
             config.disagreement_weight,
             (*_hold_terms(task, config), *terms),
+            config.tail_steps,
         )
+
+    def until(self, steps_left: int) -> Objective:
+        """The same for a horizon that ends so many steps before the episode: the tail ends with it."""
+        return replace(self, tail_steps=min(self.tail_steps, max(0.0, float(steps_left))))
 
     def __call__(self, start: Tensor, states: Tensor, goal: Tensor) -> Tensor:
         """Scores (N,) of predicted states (H, P, N, S) from start (P, 1, S) or (P, N, S) for goal (G,).
 
         A candidate with an implausible state (non-finite, or out of the task's bounds) scores -inf.
         """
-        returns = self.reward(states, goal).sum(0) - self._smoothing(start, states)
+        rewards = self.reward(states, goal)
+        returns = rewards.sum(0) + self.tail_steps * rewards[-1] - self._smoothing(start, states)
         for term in self.terms:
             returns = returns + term(states)
         score = returns.mean(0)
@@ -70,6 +79,8 @@ class Objective:
         Without what has no distance: events, terms, disagreement, and smoothing with the printed sign.
         """
         parts = tuple(self.distances(states, goal))
+        if self.tail_steps > 0.0:
+            parts = (*parts, *(self.tail_steps * part for part in self.distances(states[-1:], goal)))
         if self.smooth_weight <= 0.0:
             return parts
         jumps = (self.smooth_weight * jump for jump in self._jumps(start, states))

@@ -47,6 +47,13 @@ def test_disagreement_lowers_the_score():
     )
 
 
+def test_the_tail_repeats_the_last_reward_until_the_episode_ends():
+    last = torch.stack([TASK.reward(STATES[-1, :, n], GOAL).mean() for n in range(N)])
+    tailed = objective(TASK, tail_steps=5.0)
+    for left, repeated in ((9, 5.0), (2, 2.0), (-1, 0.0)):
+        torch.testing.assert_close(tailed.until(left)(START, STATES, GOAL), by_hand() + repeated * last)
+
+
 def test_further_terms_are_added():
     term = replace(objective(TASK), smooth_slices=(), terms=(lambda states: 0.0 * states[0, ..., 0] + 2.0,))
     torch.testing.assert_close(term(START, STATES, GOAL), by_hand() + 2.0)
@@ -77,7 +84,7 @@ def test_the_residuals_norms_add_up_to_the_score():
     generator = torch.Generator().manual_seed(2)
     start, states = (0.1 * torch.rand(*shape, 63, generator=generator) for shape in [(P, 1), (H, P, N)])
     goal = torch.rand(15, generator=generator)
-    scored = Objective.create(task, PlannerConfig(smooth_weight=0.3))
+    scored = Objective.create(task, PlannerConfig(smooth_weight=0.3, tail_steps=4.0))
     parts = scored.residuals(start, states, goal)
     norms = sum(part.norm(dim=-1).flatten(0, -2).sum(0) for part in parts)
     torch.testing.assert_close(-norms / P, scored(start, states, goal))
