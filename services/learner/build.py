@@ -36,6 +36,7 @@ def build(config: LearnerProcess, boot_id: int) -> Built:
         task.action_dim,
         config.learner.holdout,
         trainer.dynamics.coordinates,
+        lost=task.dropped,
     )
     worker = LearnerWorker(directory, store, trainer)
     return Built(LearnerService(config.learner, config.warmup_steps, worker, boot_id))

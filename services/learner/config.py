@@ -42,6 +42,12 @@ class LossConfig(Frozen):
         le=1.0,
         description="weigh each error by variance**beta; 0.5 suited contact-rich tasks",
     )
+    target_bound: float = Field(
+        default=0.0,
+        ge=0.0,
+        description="a change of more deviations than this counts as this many; 0: no bound. One drop may "
+        "otherwise outweigh all other data",
+    )
     group_weights: dict[str, NonNegative] = Field(
         default_factory=dict,
         description="weight of each state group in the likelihood, 1 when absent; reach gained from "

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from common.model.coordinates import Coordinates
 from common.storage import sweep_partial, write_atomically
-from services.learner.episode import Episode, EpisodeRefused, check, from_bytes, to_bytes
+from services.learner.episode import Episode, EpisodeRefused, Float32, check, from_bytes, to_bytes
 from services.learner.replay import Replay
 
 
@@ -27,8 +30,10 @@ class EpisodeStore:
         action_dim: int,
         holdout: float = 0.0,
         coordinates: Coordinates | None = None,
+        *,
+        lost: Callable[[Float32], NDArray[np.bool_]] | None = None,
     ) -> None:
-        self.replay = Replay(state_dim, action_dim, holdout, coordinates)
+        self.replay = Replay(state_dim, action_dim, holdout, coordinates, lost=lost)
         self.corrupt: list[str] = []
         self._directory = directory
         self._boots: dict[int, int] = {}  # boot id of the plant by episode, in order of arrival

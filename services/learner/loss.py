@@ -46,11 +46,13 @@ def loss_terms(
     """
     first = dynamics.predict(windows.state, windows.action, masks[0])
     first_target = dynamics.target(windows.state, windows.next_state)
+    first_target = bounded(dynamics, first_target, options.target_bound)
     first_step = nll(first, first_target, options.beta_nll, weights)
     penalty = variance_penalty(dynamics, first, options, weights)
     second_step = first_step.new_zeros(())
     if options.second_step:
         second, second_target = second_prediction(dynamics, first, windows, masks[1], options)
+        second_target = bounded(dynamics, second_target, options.target_bound)
         second_step = nll(second, second_target, options.beta_nll, weights)
         penalty = penalty + variance_penalty(dynamics, second, options, weights)
     bound = bound_loss(dynamics.ensemble, options.bound_weight)
@@ -66,6 +68,17 @@ def second_prediction(
     state = windows.next_state if options.teacher_forcing else first.next_state_mean
     prediction = dynamics.predict(state, windows.next_action, masks)
     return prediction, dynamics.target(state, windows.last_state)
+
+
+def bounded(dynamics: Dynamics, target: Tensor, deviations: float) -> Tensor:
+    """Targets (B, N, D), none further than so many `deviations` from the mean change; 0: as they are."""
+    if deviations <= 0.0:
+        return target
+    if dynamics.standardised_targets:
+        return target.clamp(-deviations, deviations)
+    normaliser = dynamics.normaliser
+    reach = deviations * normaliser.delta_std
+    return torch.minimum(torch.maximum(target, normaliser.delta_mean - reach), normaliser.delta_mean + reach)
 
 
 def nll(prediction: Prediction, target: Tensor, beta: float = 0.0, weights: Tensor | None = None) -> Tensor:

@@ -6,6 +6,7 @@ Letters: B members, N windows, S state, A action, T steps of an episode.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -41,7 +42,9 @@ class Trajectories(NamedTuple):
 class Replay:
     """Grows by whole episodes; a window never crosses an episode nor touches an invalid state.
 
-    `coordinates` say what its statistics are of; None: of state and action as they are.
+    `coordinates` say what its statistics are of; None: of state and action as they are. `lost` tells of
+    states (T + 1, S) whether the object has left the hand: a window may end in the first such state, which
+    shows how it is lost, and none goes on from there, for nothing depends on how it falls and lies.
     """
 
     def __init__(
@@ -50,9 +53,12 @@ class Replay:
         action_dim: int,
         holdout: float = 0.0,
         coordinates: Coordinates | None = None,
+        *,
+        lost: Callable[[Float32], NDArray[np.bool_]] | None = None,
     ) -> None:
         self.state_dim, self.action_dim = state_dim, action_dim
         self.episodes = {"train": 0, "holdout": 0}
+        self._lost = lost
         self._holdout = holdout
         self._coordinates = coordinates or RawCoordinates(state_dim, action_dim)
         self._states = _Rows(state_dim)
@@ -64,7 +70,7 @@ class Replay:
 
     def add(self, episode: Episode) -> Split:
         """Append one checked episode; returns the split that it went to."""
-        first, runs = len(self._states), _valid_runs(episode.valid)
+        first, runs = len(self._states), _valid_runs(self._told(episode))
         self._states.extend(episode.states)
         self._actions.extend(np.concatenate((episode.actions, np.zeros((1, self.action_dim), np.float32))))
         self._run.extend(runs[:, None])
@@ -120,6 +126,13 @@ class Replay:
             starts = starts[np.linspace(0, len(starts) - 1, limit).astype(np.int64)]
         rows = torch.as_tensor(starts)[:, None] + torch.arange(steps + 1)
         return Trajectories(self._states.tensor()[rows], self._actions.tensor()[rows[:, :-1]])
+
+    def _told(self, episode: Episode) -> NDArray[np.bool_]:
+        """Which states (T + 1,) may be learned from."""
+        if self._lost is None:
+            return episode.valid
+        lost = self._lost(episode.states)
+        return episode.valid & (np.cumsum(lost) - lost == 0)
 
     def _described(self, episode: Episode, moved: NDArray[np.bool_]) -> tuple[Float32, Float32]:
         """Inputs (T', I) and changes (T', D) of the steps (T,) that `moved` marks, as networks see them."""

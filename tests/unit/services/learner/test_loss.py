@@ -65,6 +65,11 @@ class Case:
         weight = ensemble.weights[layer][b].detach().double().numpy()
         return h @ weight + ensemble.biases[layer][b, 0].detach().double().numpy()
 
+    def limited(self, change, deviations, scale, shift):
+        middle = self.dynamics.normaliser.delta_mean.double().numpy()
+        reach = deviations * self.dynamics.normaliser.delta_std.double().numpy()
+        return (np.clip(change, middle - reach, middle + reach) - shift) / scale
+
     def expected(self, options, weights=None):
         """first, second, penalty: loops over members, windows and dimensions."""
         weights = np.ones(S) if weights is None else weights
@@ -79,6 +84,8 @@ class Case:
                 for step, (action, target) in enumerate(((a0, s1), (a1, s2))):
                     mean, log_var = self.head(b, state, action, self.masks[step], n)
                     wanted = (target - state - shift) / scale
+                    if options.target_bound > 0:
+                        wanted = self.limited(target - state, options.target_bound, scale, shift)
                     for d in range(S):
                         error = (mean[d] - wanted[d]) ** 2 / math.exp(log_var[d]) + log_var[d]
                         error *= math.exp(options.beta_nll * log_var[d])
@@ -99,6 +106,7 @@ class Case:
         LossConfig(decay=DECAY, teacher_forcing=True),
         LossConfig(decay=DECAY, penalty_units="standardised", variance_penalty=2.0),
         LossConfig(decay=DECAY, beta_nll=0.5),
+        LossConfig(decay=DECAY, target_bound=0.4),
     ],
 )
 def test_data_terms_equal_explicit_loops(options, targets):

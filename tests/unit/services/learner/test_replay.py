@@ -55,6 +55,18 @@ def test_windows_are_exactly_the_valid_triples(flags):
     assert len(expected) > 20 or found == expected
 
 
+@pytest.mark.parametrize(
+    ("lost_at", "starts"), [((), (0, 1, 2, 3, 4)), ((4,), (0, 1, 2)), ((2, 3), (0,)), ((0,), ())]
+)
+def test_no_window_goes_on_from_a_lost_object_not_even_when_it_comes_back(lost_at, starts):
+    replay = Replay(2, 1, lost=lambda states: np.isin(states[:, 1], lost_at))
+    replay.add(marked_episode(0, [True] * 7))
+    assert replay.windows() == len(starts)
+    if starts:
+        windows = replay.sample(1, 100, torch.Generator().manual_seed(0))
+        assert set(windows.state[..., 1].flatten().tolist()) == set(starts)
+
+
 @settings(max_examples=50, deadline=None)
 @given(episodes, st.integers(1, 5))
 def test_runs_are_contiguous_and_valid(flags, steps):
