@@ -3,18 +3,34 @@
 from __future__ import annotations
 
 import errno
+import logging
 from typing import Any
 
 import can
 from can import BitTimingFd, BusState, CanProtocol
 
-from common.can_config import CanConfig
+from common.can_config import BIT_RATE, DATA_BIT_RATE, CanConfig
 from common.dexhand021.frames import Frame, padded
 
 SEND_TIMEOUT_S = 0.005
 RX_QUEUE = 4096  # of the virtual bus, which would otherwise grow without bound
 BUSY = (errno.ENOBUFS, errno.EAGAIN)
 _ERROR_BUS_OFF = 0x40  # class bit in the id of an error frame, linux/can/error.h
+_MISSING = {
+    "socketcan": "this kernel has no SocketCAN: `modprobe can_raw`; most containers have none",
+    "pcan": "PEAK's PCANBasic library is not installed",
+    "kvaser": "Kvaser's library canlib is not installed",
+    "vector": "Vector's XL library is not installed, or not made for this system",
+    "zlgcan": "the plugin is not installed: .venv/bin/pip install zlgcan",
+}
+_WHY = {
+    errno.EAFNOSUPPORT: _MISSING["socketcan"],
+    errno.ENODEV: "there is no such interface: `ip link` lists those that there are",
+    errno.ENETDOWN: "the interface is down: deploy.doctor can says how to bring it up",
+}
+
+# What python-can's back ends have to say is in our errors, for those that are in use.
+logging.getLogger("can").addHandler(logging.NullHandler())
 
 
 class LinkError(Exception):
@@ -56,13 +72,17 @@ def arguments(config: CanConfig) -> dict[str, Any]:
 
 def _timing(config: CanConfig) -> BitTimingFd:
     """Sample points of 80 % and 75 %, as the maker's own software sets them."""
-    return BitTimingFd.from_sample_point(
-        f_clock=80_000_000,
-        nom_bitrate=config.bit_rate,
-        nom_sample_point=80.0,
-        data_bitrate=config.data_bit_rate,
-        data_sample_point=75.0,
-    )
+    try:
+        return BitTimingFd.from_sample_point(
+            f_clock=80_000_000,
+            nom_bitrate=config.bit_rate,
+            nom_sample_point=80.0,
+            data_bitrate=config.data_bit_rate,
+            data_sample_point=75.0,
+        )
+    except ValueError:
+        wanted = f"{config.bit_rate} and {config.data_bit_rate} bit/s"
+        raise LinkError(f"no timing gives {wanted}; the hand has {BIT_RATE} and {DATA_BIT_RATE}") from None
 
 
 class CanLink:
@@ -70,12 +90,14 @@ class CanLink:
 
     def __init__(self, config: CanConfig, bit_rate_switch: bool = False) -> None:
         """Open it. Raises LinkError saying why not."""
+        self._config = config
         self._bit_rate_switch = bit_rate_switch
         self._closed = False
         try:
             self._bus = can.Bus(interface=config.interface, **arguments(config))
         except Exception as error:  # makers' back ends raise anything, NameError for a missing library
-            raise LinkError(f"{config.interface} {config.channel}: {_line(error)}") from None
+            why = _known(config, error) or f"{_line(error)}; is it plugged in, and the channel right?"
+            raise LinkError(f"{config.interface} {config.channel}: {why}") from None
 
     def send(self, frame: Frame) -> None:
         """Send one frame with an 11-bit id. Raises Busy, BusOff, LinkError."""
@@ -97,7 +119,7 @@ class CanLink:
             # Without the system's number nobody knows: the driver gives up on a link that stays busy.
             if _number(error) in (None, *BUSY):
                 raise Busy from None
-            raise LinkError(_line(error)) from None
+            raise LinkError(_known(self._config, error) or _line(error)) from None
 
     def send_bus_off(self) -> None:
         """Tell the others that the bus is off, as a controller tells its host: for the emulator alone."""
@@ -109,7 +131,7 @@ class CanLink:
             message = self._bus.recv(timeout_s)
         except (can.CanError, OSError, ValueError) as error:
             if self._closed or _number(error) is not None:  # else it is what came that cannot be read
-                raise LinkError(_line(error)) from None
+                raise LinkError(_known(self._config, error) or _line(error)) from None
             raise BadFrame(_line(error)) from None
         if message is None:
             return None
@@ -131,6 +153,16 @@ def _number(error: BaseException) -> int | None:
     """The system's error number behind an exception of python-can, if there is one."""
     causes = (each for each in (error, error.__cause__) if isinstance(each, OSError))
     return next((each.errno for each in causes if each.errno is not None), None)
+
+
+def _known(config: CanConfig, error: BaseException) -> str:
+    """What is wrong and what to do about it, where that is known; else nothing."""
+    if isinstance(error, LinkError):
+        return str(error)
+    unknown = isinstance(error, can.CanInterfaceNotImplementedError | NameError | ImportError)
+    if unknown or "library not found" in str(error):
+        return _MISSING.get(config.interface, "")
+    return _WHY.get(_number(error) or 0, "") if config.interface == "socketcan" else ""
 
 
 def _line(error: BaseException) -> str:

@@ -84,6 +84,7 @@ class HandFrame:
     rate_hz: Annotated[Float32, ArraySpec("<f4", (6,), "replies a second")]
     overheated: Annotated[UInt8, ArraySpec("|u1", (6,), "board said so and is not cool again", limit=1)]
     counts: dict[str, float]  # what the driver and the limits count
+    error: str  # why there is no bus; empty while there is one
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,8 @@ def main(argv: list[str] | None = None) -> int:
     options = _parser().parse_args(argv)
     try:
         cell = load_cell(options.cell, options.overrides)
+        if cell.plant == "sim":
+            raise ConfigError([f"cell {cell.cell} has no hand to arm: it is all in simulation"])
         reply = ask(cell, options.wish)
     except ConfigError as error:
         print(error, file=sys.stderr)

@@ -133,6 +133,8 @@ def _hand_problems(cell: Cell) -> Iterable[str]:
         get_die_task(cell.task, cell.hand.hand)
     except ValueError as error:
         yield str(error)
+    if cell.can.interface == "virtual":
+        yield "can.interface: virtual is a bus within one process, and a cell has several: udp_multicast"
     if cell.plant == "twin" and not cell.can.simulated:
         yield f"can.interface: an emulated hand has no place on {cell.can.interface}"
     if cell.plant == "hand" and cell.pose_source is PoseSource.TWIN:

@@ -14,18 +14,24 @@ from collections.abc import Iterator
 from statistics import median
 from typing import Any
 
+from common.can_config import BIT_RATE, DATA_BIT_RATE
 from common.can_link import BadFrame, BusOff, Busy, CanLink, LinkError
 from common.config import ConfigError
 from common.dexhand021 import host
 from common.dexhand021.commands import BroadcastMotion, Command, MotorTarget, NvmRead
 from common.dexhand021.frames import Refusal
 from common.dexhand021.replies import BoardFeedback, ErrorReport, NvmReply, OverTemperature, Reply
-from common.dexhand021.tables import BOARDS, MOTORS, ControlMode, NvmAddress, board_id
+from common.dexhand021.tables import BOARDS, MOTORS, ControlMode, Hand, NvmAddress, board_id, hand_and_board
 from deploy.cell import Cell, load_cell
 from deploy.checks import Check, print_checks
 
 LISTEN_S, ANSWER_S, PINGS = 0.5, 0.1, 5
 ROUND_TRIP_LIMIT_MS = 10.0
+WHERE = {
+    True: "is the emulated hand running, with the same can.channel and can.port?",
+    False: "power, cable, and left or right hand in the cell?",
+}
+HANDS = "name a cell with plant: twin or hand, such as dexhand_twin"
 LINK_ADVICE = "ip link set {0} up type can bitrate {1} dbitrate {2} fd on restart-ms 100"
 
 
@@ -39,14 +45,16 @@ def checks(cell_name: str, overrides: list[str]) -> Iterator[Check]:
     """Examine adapter, bit rates, boards; stops where nothing more can be seen."""
     try:
         cell = load_cell(cell_name, overrides)
-        link = CanLink(cell.can, cell.hand.bit_rate_switch)
     except ConfigError as error:
         yield from (Check(False, "config", line, "correct the cell") for line in error.lines)
         return
+    if cell.plant == "sim":
+        yield Check(False, "config", f"cell {cell.cell} has no bus: its hand is all in simulation", HANDS)
+        return
+    try:
+        link = CanLink(cell.can, cell.hand.bit_rate_switch)
     except LinkError as error:
-        yield Check(
-            False, "adapter", str(error), "is it plugged in, its driver installed, the channel right?"
-        )
+        yield Check(False, "adapter", str(error))
         return
     try:
         yield Check(True, "adapter", f"{cell.can.interface} {cell.can.channel} opened for CAN FD")
@@ -62,7 +70,9 @@ def _bit_rates(cell: Cell) -> Check:
     if can.simulated:
         return Check(True, "bit rates", "a simulated bus has none")
     if can.interface != "socketcan":
-        return Check(True, "bit rates", f"set to {wanted} by this program")
+        right = (can.bit_rate, can.data_bit_rate) == (BIT_RATE, DATA_BIT_RATE)
+        advice = f"the maker's are {BIT_RATE} and {DATA_BIT_RATE}: leave both options out"
+        return Check(right, "bit rates", f"set to {wanted} by this program", advice)
     found = _link_rates(can.channel)
     advice = LINK_ADVICE.format(can.channel, can.bit_rate, can.data_bit_rate)
     right = found == (can.bit_rate, can.data_bit_rate)
@@ -89,12 +99,20 @@ def _hand(cell: Cell, link: CanLink) -> Iterator[Check]:
         yield Check(True, "traffic", "hand_io is driving the hand" if driven else "the bus is quiet")
         if not driven:
             examiner.ask_status()
+        if examiner.others:
+            other = "left" if cell.hand.hand is Hand.RIGHT else "right"
+            found = f"boards of a {other} hand are heard, the cell's is the {cell.hand.hand.value} one"
+            yield Check(False, "hand", found, f"hand.hand: {other}, unless there are two")
         for board in range(len(BOARDS)):
             yield examiner.board(board)
     except BusOff:
         yield Check(False, "bus", "bus off", "check termination, wiring and bit rates; is the hand powered?")
-    except (LinkError, Busy) as error:
-        yield Check(False, "bus", str(error) or "nothing can be sent", "is the hand powered and connected?")
+    except Busy:
+        yield Check(False, "bus", "nothing can be sent", "is the hand powered and connected?")
+    except LinkError as error:
+        advice = LINK_ADVICE.format(cell.can.channel, cell.can.bit_rate, cell.can.data_bit_rate)
+        advice = advice if cell.can.interface == "socketcan" else "is the adapter still there?"
+        yield Check(False, "bus", str(error), advice)
 
 
 class Examiner:
@@ -103,6 +121,8 @@ class Examiner:
     def __init__(self, cell: Cell, link: CanLink) -> None:
         self._hand, self._link = cell.hand, link
         self._pause_c = cell.hand_io.limits.pause_c
+        self._absent = WHERE[cell.can.simulated]
+        self.others = 0  # status frames of the other hand
         self.statuses: dict[int, BoardFeedback] = {}
         self.errors: dict[int, ErrorReport | OverTemperature] = {}
 
@@ -122,6 +142,7 @@ class Examiner:
             return None
         reply = host.decode(frame, self._hand.feedback_bytes) if frame else None
         if isinstance(reply, BoardFeedback):
+            self.others += hand_and_board(reply.board)[0] is not self._hand.hand
             self.statuses[reply.board] = reply
         elif isinstance(reply, ErrorReport | OverTemperature):
             self.errors[reply.board] = reply
@@ -150,7 +171,7 @@ class Examiner:
         answers = [self._read(identity, NvmAddress.FIRMWARE) for _ in range(PINGS)]
         heard = [answer for answer in answers if answer is not None]
         if not heard:
-            return Check(False, about, "does not answer", "power, cable, and left or right hand in the cell?")
+            return Check(False, about, "does not answer", self._absent)
         round_trip_ms = median(answer[1] for answer in heard)
         safe = self._read(identity, NvmAddress.SAFE_TEMPERATURE_C)
         found = [

@@ -257,7 +257,9 @@ class HandPort:
             counts = self._counts + self._boards.counts
             limits = {f"limit_{reason.value}": n for reason, n in self._points.counts.items()}
             numbers = {name: float(n) for name, n in (counts | limits).items()} | self._statistics
-            return hand_frame(self._clock.now_ns(), self._state, self._boards, self._points, numbers)
+            error = self.last_error if self._state is Link.DOWN else ""
+            now_ns = self._clock.now_ns()
+            return hand_frame(now_ns, self._state, self._boards, self._points, numbers, error=error)
 
 
 def _ns(seconds: float) -> int:

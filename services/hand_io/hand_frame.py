@@ -15,7 +15,7 @@ LARGEST = 1e5  # a float32 sensor may say anything
 
 
 def hand_frame(
-    now_ns: int, link: Link, boards: Boards, points: SetPoints, counts: dict[str, float]
+    now_ns: int, link: Link, boards: Boards, points: SetPoints, counts: dict[str, float], *, error: str
 ) -> HandFrame:
     """Put together what is known at `now_ns`; NaN becomes 0 and not valid."""
     return HandFrame(
@@ -36,6 +36,7 @@ def hand_frame(
         rate_hz=np.minimum(boards.rate_hz(now_ns), LARGEST).astype(np.float32),
         overheated=boards.overheated.astype(np.uint8),
         counts=counts,
+        error=error,
     )
 
 

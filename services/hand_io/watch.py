@@ -25,7 +25,7 @@ class Watch:
             return Condition(troubles=("the driver has said nothing yet",))
         troubles = [*self._silent(now_ns, frame), *self._restarted(frame)]
         if frame.link is Link.DOWN:
-            troubles.insert(0, "no bus")
+            troubles.insert(0, f"no bus: {frame.error}" if frame.error else "no bus")
         return Condition(faults(frame), tuple(troubles))
 
     def _silent(self, now_ns: int, frame: HandFrame) -> list[str]:

@@ -189,11 +189,12 @@ def test_process_of_knows_instances() -> None:
     [
         (["can.interface=socketcan", "can.channel=can0"], "an emulated hand has no place on socketcan"),
         (
-            ["plant=hand", "can.interface=socketcan", "pose_source=perception"],
+            ["plant=hand", "can.interface=pcan", "can.channel=PCAN_USBBUS1", "pose_source=perception"],
             "auto_arm: a hand that can hurt",
         ),
         (["plant=hand"], "pose_source: only an emulated hand has a twin"),
         (["task=reach"], "task: reach is none for the DexHand 021"),
+        (["can.interface=virtual"], "virtual is a bus within one process"),
         (["can.interface=kvaser", "can.channel=first"], "channel of kvaser must be a number"),
     ],
 )
@@ -209,7 +210,13 @@ def test_each_plant_brings_its_own_processes() -> None:
     assert names.index("emulator") < names.index("hand_io") < names.index("curriculum")
     real = load_cell(
         "dexhand_twin",
-        ["plant=hand", "can.interface=socketcan", "pose_source=perception", "hand_io.auto_arm=false"],
+        [
+            "plant=hand",
+            "can.interface=pcan",
+            "can.channel=PCAN_USBBUS1",
+            "pose_source=perception",
+            "hand_io.auto_arm=false",
+        ],
     )
     assert "emulator" not in instances_of(real, "local")
     assert "camera" not in instances_of(real, "local") and "perception" in instances_of(real, "local")

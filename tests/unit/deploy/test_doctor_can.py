@@ -1,14 +1,22 @@
 """`deploy.doctor can` and `deploy.arm`, beside an emulated hand."""
 
+import subprocess
+import time
+
 import pytest
 
 from bench.can import free_port
 from common.can_config import CanConfig
+from common.can_link import LinkError
+from common.config import ConfigError
+from common.dexhand021 import device
 from common.dexhand021.config import DexHandConfig
+from common.dexhand021.replies import BoardFeedback, MotorState
 from common.hand_messages import ArmReply, ArmWish
 from common.task import get_task
-from deploy import arm, doctor
-from deploy.doctor_can import checks
+from deploy import arm, doctor, doctor_can
+from deploy.cell import load_cell
+from deploy.doctor_can import _bit_rates, _hand, checks
 from services.hand_io.desk import ArmDesk
 from services.sim.emulator_config import EmulatorConfig, Fault
 from services.sim.emulator_port import EmulatorPort
@@ -20,13 +28,13 @@ def emulated():
     """A function that starts a hand with faults and returns the lines about it."""
     ports = []
 
-    def examine(*faults):
+    def examine(*faults, overrides=()):
         number = free_port()
         config = EmulatorConfig(faults=tuple(Fault(for_s=60, **fault) for fault in faults))
         can = CanConfig(port=number)
         ports.append(EmulatorPort(can, DexHandConfig(), config, KinematicTwin(), get_task("die")))
         ports[-1].open(lambda _topic, _message: None)
-        return list(checks("dexhand_twin", [f"can.port={number}"])), ports[-1]
+        return list(checks("dexhand_twin", [f"can.port={number}", *overrides])), ports[-1]
 
     yield examine
     for port in ports:
@@ -52,11 +60,84 @@ def test_each_board_that_is_not_well_is_named(emulated):
     assert failed["palm (id 8)"] == "does not answer" and "too hot to run" in failed["ring (id 11)"]
 
 
-def test_no_adapter_is_one_line_with_advice(capsys):
-    overrides = ["--set", "can.interface=pcan", "--set", "plant=hand", "--set", "pose_source=perception"]
-    assert doctor.main(["can", "dexhand_twin", *overrides, "--set", "hand_io.auto_arm=false"]) == 1
+def test_the_other_hand_on_the_bus_is_named(emulated, monkeypatch):
+    monkeypatch.setattr(doctor_can, "ANSWER_S", 0.01)
+    lines, port = emulated(overrides=["hand.hand=left", "task=die_left"])
+    assert len(lines) == 9 and not any(line.ok for line in lines[3:])
+    assert "same can.channel and can.port?" in str(lines[3])
+    assert not port.hand.powered.any()
+    cell = load_cell("dexhand_twin", ["hand.hand=left", "task=die_left"])
+    frames = [device.encode(BoardFeedback(board, (MotorState(0, 0, 0, 0),) * 2), 16) for board in (7, 8)]
+    found = list(_hand(cell, Heard(frames)))
+    assert str(found[1]).startswith("FAIL  hand") and "boards of a right hand are heard" in found[1].found
+
+
+class Heard:
+    """A link on which only this is heard."""
+
+    def __init__(self, frames):
+        self._frames = frames
+
+    def send(self, _frame):
+        pass
+
+    def receive(self, timeout_s):
+        if self._frames:
+            return self._frames.pop()
+        time.sleep(timeout_s)
+        return None
+
+
+REAL = ("plant=hand", "pose_source=perception", "hand_io.auto_arm=false")
+
+
+def test_no_adapter_is_one_line_that_says_why(capsys, monkeypatch):
+    def absent(*_arguments):
+        raise LinkError("pcan PCAN_USBBUS1: PEAK's PCANBasic library is not installed")
+
+    monkeypatch.setattr(doctor_can, "CanLink", absent)
+    values = (*REAL, "can.interface=pcan", "can.channel=PCAN_USBBUS1")
+    assert doctor.main(["can", "dexhand_twin", *(f"--set={value}" for value in values)]) == 1
     (line,) = capsys.readouterr().out.splitlines()
-    assert line.startswith("FAIL  adapter") and "is it plugged in" in line
+    assert line.startswith("FAIL  adapter") and line.endswith("PCANBasic library is not installed")
+
+
+@pytest.mark.parametrize(("data_bit_rate", "right"), [(5_000_000, True), (2_000_000, False)])
+def test_bit_rates_are_those_of_the_maker(data_bit_rate, right):
+    values = (*REAL, "can.interface=kvaser", "can.channel=0", f"can.data_bit_rate={data_bit_rate}")
+    line = _bit_rates(load_cell("dexhand_twin", values))
+    assert line.ok is right
+    assert right or ("set to 1000000 and 2000000 bit/s" in str(line) and "1000000 and 5000000" in str(line))
+
+
+KERNEL = '[{"linkinfo": {"info_data": {"bittiming": {"bitrate": %d}, "data_bittiming": {"bitrate": %d}}}}]'
+
+
+@pytest.mark.parametrize(
+    ("said", "found"),
+    [
+        (KERNEL % (1_000_000, 5_000_000), "ok bit rates 1000000 and 5000000 bit/s"),
+        (KERNEL % (500_000, 2_000_000), "FAIL bit rates 500000 and 2000000 bit/s -> ip link set can0"),
+        (
+            "[{}]",
+            "FAIL bit rates unknown -> ip link set can0 up type can bitrate 1000000 dbitrate 5000000 fd",
+        ),
+    ],
+)
+def test_bit_rates_of_socketcan_are_those_that_the_kernel_tells(monkeypatch, said, found):
+    monkeypatch.setattr(subprocess, "run", lambda command, **_: subprocess.CompletedProcess(command, 0, said))
+    values = (*REAL, "can.interface=socketcan", "can.channel=can0")
+    line = str(_bit_rates(load_cell("dexhand_twin", values)))
+    assert " ".join(line.split()).startswith(found)
+
+
+def test_a_cell_without_a_hand_on_a_bus_is_told_apart(capsys):
+    assert doctor.main(["can", "die"]) == 1
+    assert "cell die has no bus" in capsys.readouterr().out
+    assert arm.main(["die"]) == 2
+    assert capsys.readouterr().err == "cell die has no hand to arm: it is all in simulation\n"
+    with pytest.raises(ConfigError, match="virtual is a bus within one process"):
+        load_cell("dexhand_twin", ["can.interface=virtual"])
 
 
 @pytest.mark.parametrize(

@@ -52,6 +52,7 @@ GOOD_FRAME = HandFrame(
     rate_hz=np.full(6, 50.0, np.float32),
     overheated=np.zeros(6, np.uint8),
     counts={"starts": 0.0},
+    error="",
 )
 POSE = ObjectPose(
     position=np.array([0.05, 0.0, 0.14], np.float32),
