@@ -57,13 +57,13 @@ class Arming:
         return self.state in OPERATIONAL
 
     def wish(self, wish: ArmWish) -> ArmReply:
-        """Answer a person."""
+        """Answer a person; what is wrong is the reason of a refusal, or told with the status."""
+        if wish is ArmWish.STATUS:
+            return ArmReply(True, self.state.value, "; ".join(self._condition.wrong))
         reason = self._follow(wish)
         return ArmReply(accepted=not reason, state=self.state.value, reason=reason)
 
     def _follow(self, wish: ArmWish) -> str:
-        if wish is ArmWish.STATUS:
-            return ""
         if wish is ArmWish.DISARM:
             if self.operational:
                 self.state = State.HOLD

@@ -23,10 +23,10 @@ class Watch:
         """Everything that keeps the hand from running."""
         if frame is None:
             return Condition(troubles=("the driver has said nothing yet",))
-        troubles = [*self._silent(now_ns, frame), *self._restarted(frame)]
-        if frame.link is Link.DOWN:
-            troubles.insert(0, f"no bus: {frame.error}" if frame.error else "no bus")
-        return Condition(faults(frame), tuple(troubles))
+        restarted = self._restarted(frame)
+        if frame.link is Link.DOWN:  # without which the boards are silent, too
+            return Condition(faults(frame), (f"no bus: {frame.error}" if frame.error else "no bus",))
+        return Condition(faults(frame), (*self._silent(now_ns, frame), *restarted))
 
     def _silent(self, now_ns: int, frame: HandFrame) -> list[str]:
         if now_ns - frame.t_ns > DRIVER_SILENT_NS:

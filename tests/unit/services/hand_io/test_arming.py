@@ -82,3 +82,5 @@ def test_asking_changes_nothing_and_disarming_ends_no_fault():
     assert watched.arming.wish(ArmWish.ARM).accepted
     watched.be(FAULT)
     assert watched.arming.wish(ArmWish.DISARM).state == "fault"
+    told = watched.arming.wish(ArmWish.STATUS)
+    assert told.accepted and told.reason == "; ".join(FAULT.wrong) != ""

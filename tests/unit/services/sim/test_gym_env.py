@@ -14,12 +14,16 @@ from services.sim.gym_env import DexHandDieEnv
 
 NAME = "services.sim.gym_env:DexHandDie-v0"
 RENDER = """
+import warnings
 import gymnasium
+from gymnasium.utils.env_checker import check_env
 env = gymnasium.make("services.sim.gym_env:DexHandDie-v0", render_mode="rgb_array", size=(96, 128))
 env.reset(seed=0)
 image = env.render()
 assert image.shape == (96, 128, 3) and image.dtype == "uint8", image.shape
 assert image.std() > 10
+warnings.simplefilter("error")
+check_env(env.unwrapped)
 env.close()
 """
 
@@ -90,8 +94,9 @@ def test_faces_and_goals_can_be_chosen(env):
         DexHandDieEnv(render_mode="human")
 
 
-def test_it_vectorises():
-    envs = gymnasium.make_vec(NAME, num_envs=2, vectorization_mode="sync", faces=(1, 6))
+@pytest.mark.parametrize("mode", ["sync", "async"])
+def test_it_vectorises(mode):
+    envs = gymnasium.make_vec(NAME, num_envs=2, vectorization_mode=mode, faces=(1, 6))
     first, _ = envs.reset(seed=5)
     assert first["observation"].shape == (2, 24)
     observation, reward, *_ = envs.step(np.zeros((2, 12), np.float32))
@@ -100,7 +105,7 @@ def test_it_vectorises():
     envs.close()
 
 
-def test_it_renders_where_there_is_opengl():
+def test_it_renders_and_passes_the_checker_so_where_there_is_opengl():
     ran = subprocess.run(
         [sys.executable, "-c", RENDER],
         env={**os.environ, "MUJOCO_GL": "egl"},
