@@ -31,10 +31,13 @@ class CanConfig(Frozen):
     )
     bit_rate: int = Field(default=BIT_RATE, gt=0, description="of the arbitration phase, bit/s")
     data_bit_rate: int = Field(default=DATA_BIT_RATE, gt=0, description="of the data phase, bit/s")
-    device: int = Field(
-        default=0, ge=0, description="which adapter, where there are several (zlgcan, kvaser)"
+    device: int = Field(default=0, ge=0, description="zlgcan alone: which adapter, where there are several")
+    device_type: int = Field(
+        default=41, ge=0, description="zlgcan alone: 41 is USBCANFD-200U, 42 100U, 43 the mini"
     )
-    device_type: int = Field(default=41, ge=0, description="zlgcan alone: 41 is USBCANFD-200U, 42 100U")
+    library: str = Field(
+        default="library/", min_length=1, description="zlgcan alone: folder of ZLG's libraries"
+    )
     termination: bool = Field(default=True, description="zlgcan alone: switch the adapter's resistor on")
 
     @field_validator("channel", mode="before")

@@ -23,6 +23,7 @@ _MISSING = {
     "vector": "Vector's XL library is not installed, or not made for this system",
     "zlgcan": "the plugin is not installed: .venv/bin/pip install zlgcan",
 }
+_NO_LIBRARY = "ZLG's libraries are not in can.library, {}: see docs/guides/dexhand.md"
 _WHY = {
     errno.EAFNOSUPPORT: _MISSING["socketcan"],
     errno.ENODEV: "there is no such interface: `ip link` lists those that there are",
@@ -38,7 +39,7 @@ class LinkError(Exception):
 
 
 class Busy(Exception):  # noqa: N818 - a state, not a mistake
-    """The frame was not sent because the adapter's queue is full; the next one may be."""
+    """The frame was not sent, most likely for a full queue of the adapter's; the next one may be."""
 
 
 class BadFrame(Exception):  # noqa: N818 - about what arrived
@@ -64,10 +65,16 @@ def arguments(config: CanConfig) -> dict[str, Any]:
             "channel": number,
             "device_type": config.device_type,
             "device_index": config.device,
-            "configs": [{**rates, "resistance": int(config.termination)}],
+            "libpath": config.library,
+            # The plugin counts channels by these and heeds `channel` of messages alone.
+            "configs": [{**rates, "resistance": int(config.termination)}] * (_zlg_channel(config) + 1),
         },
     }
     return {"channel": config.channel, **own[config.interface]}
+
+
+def _zlg_channel(config: CanConfig) -> int:
+    return int(config.channel) if config.interface == "zlgcan" else 0
 
 
 def _timing(config: CanConfig) -> BitTimingFd:
@@ -108,6 +115,7 @@ class CanLink:
             is_extended_id=False,
             is_fd=True,
             bitrate_switch=self._bit_rate_switch,
+            channel=_zlg_channel(self._config),
         )
         try:
             if self._bus.state is BusState.ERROR:
@@ -115,10 +123,12 @@ class CanLink:
             self._bus.send(message, timeout=SEND_TIMEOUT_S)
         except can.CanTimeoutError:
             raise Busy from None
-        except (can.CanError, OSError) as error:
+        except BusOff:
+            raise
+        except Exception as error:
             # Without the system's number nobody knows: the driver gives up on a link that stays busy.
             if _number(error) in (None, *BUSY):
-                raise Busy from None
+                raise Busy(_line(error)) from None
             raise LinkError(_known(self._config, error) or _line(error)) from None
 
     def send_bus_off(self) -> None:
@@ -129,11 +139,11 @@ class CanLink:
         """Wait for a frame; None if none came. Raises BadFrame, BusOff, LinkError."""
         try:
             message = self._bus.recv(timeout_s)
-        except (can.CanError, OSError, ValueError) as error:
+        except Exception as error:
             if self._closed or _number(error) is not None:  # else it is what came that cannot be read
                 raise LinkError(_known(self._config, error) or _line(error)) from None
             raise BadFrame(_line(error)) from None
-        if message is None:
+        if message is None or self._of_another_channel(message):
             return None
         if message.is_error_frame:
             if message.arbitration_id & _ERROR_BUS_OFF:
@@ -142,6 +152,9 @@ class CanLink:
         if message.is_extended_id or message.is_remote_frame:
             raise BadFrame("not a data frame with an 11-bit id")
         return Frame(message.arbitration_id, bytes(message.data))
+
+    def _of_another_channel(self, message: can.Message) -> bool:
+        return self._config.interface == "zlgcan" and message.channel != _zlg_channel(self._config)
 
     def close(self) -> None:
         """Release the adapter; a `receive` under way ends with an exception or nothing."""
@@ -162,6 +175,8 @@ def _known(config: CanConfig, error: BaseException) -> str:
     unknown = isinstance(error, can.CanInterfaceNotImplementedError | NameError | ImportError)
     if unknown or "library not found" in str(error):
         return _MISSING.get(config.interface, "")
+    if config.interface == "zlgcan" and "open library" in str(error):
+        return _NO_LIBRARY.format(config.library)
     return _WHY.get(_number(error) or 0, "") if config.interface == "socketcan" else ""
 
 

@@ -107,8 +107,9 @@ def _hand(cell: Cell, link: CanLink) -> Iterator[Check]:
             yield examiner.board(board)
     except BusOff:
         yield Check(False, "bus", "bus off", "check termination, wiring and bit rates; is the hand powered?")
-    except Busy:
-        yield Check(False, "bus", "nothing can be sent", "is the hand powered and connected?")
+    except Busy as error:
+        found = f"nothing can be sent: {error}" if str(error) else "nothing can be sent"
+        yield Check(False, "bus", found, "is the hand powered and connected?")
     except LinkError as error:
         advice = LINK_ADVICE.format(cell.can.channel, cell.can.bit_rate, cell.can.data_bit_rate)
         advice = advice if cell.can.interface == "socketcan" else "is the adapter still there?"

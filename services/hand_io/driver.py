@@ -129,8 +129,8 @@ class HandPort:
         try:
             self._send(link, commands)
             self._busy = 0
-        except Busy:
-            self._note_busy(link)
+        except Busy as error:
+            self._note_busy(link, str(error))
         except BusOff:
             self._lose(link, Link.BUS_OFF, "bus off")
         except LinkError as error:
@@ -165,12 +165,12 @@ class HandPort:
                 time.sleep(RETRY_S)
                 link.send(frame)
 
-    def _note_busy(self, link: CanLink) -> None:
+    def _note_busy(self, link: CanLink, why: str) -> None:
         self._busy += 1
         with self._lock:
             self._counts["busy"] += 1
         if self._busy >= BUSY_CYCLES:
-            self._lose(link, Link.DOWN, "the adapter's queue stays full")
+            self._lose(link, Link.DOWN, f"nothing can be sent: {why or 'the queue stays full'}")
 
     # --- the bus comes and goes -------------------------------------------------------------------
 

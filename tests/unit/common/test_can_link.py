@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.can_config import CanConfig
-from common.can_link import BusOff, Busy, CanLink, LinkError, arguments
+from common.can_link import BadFrame, BusOff, Busy, CanLink, LinkError, arguments
 from common.config import ConfigError, parse
 from common.dexhand021.frames import Frame
 
@@ -70,6 +70,7 @@ def opening(monkeypatch, config, error):
         ("pcan", "PCAN_USBBUS1", OSError("pcanbasic library not found."), "PEAK's PCANBasic library is not"),
         ("kvaser", "0", NameError("name 'canOpen' is not defined"), "Kvaser's library canlib is not"),
         ("zlgcan", "0", can.CanInterfaceNotImplementedError("Unknown"), "pip install zlgcan"),
+        ("zlgcan", "0", ValueError("Could not open library: library/l"), "are not in can.library, library/:"),
         ("vector", "0", can.CanInterfaceNotImplementedError("Windows"), "not made for this system"),
         ("pcan", "PCAN_USBBUS1", can.CanInitializationError("no hardware"), "no hardware; is it plugged in"),
     ],
@@ -90,15 +91,50 @@ def test_python_can_says_nothing_beside_our_errors(capfd):
 
 
 class Bus:
-    """A SocketCAN that raises what it is told to."""
+    """Raises what it is told to, or has said this."""
 
     state = can.BusState.ACTIVE
 
-    def __init__(self, error):
-        self.error = error
+    def __init__(self, error=None, said=()):
+        self.error, self.sent, self.said = error, [], list(said)
 
-    def send(self, _message, timeout=None):
-        raise self.error
+    def send(self, message, timeout=None):
+        if self.error is not None:
+            raise self.error
+        self.sent.append(message)
+
+    def recv(self, timeout):
+        if self.error is not None:
+            raise self.error
+        return self.said.pop(0) if self.said else None
+
+
+def test_the_zlg_plugin_is_told_of_all_channels_up_to_ours_and_heeds_that_of_messages(monkeypatch):
+    said = [can.Message(arbitration_id=0x189, is_extended_id=False, channel=n) for n in (0, 1)]
+    bus, wanted = Bus(said=said), {}
+    monkeypatch.setattr(can, "Bus", lambda **arguments: wanted.update(arguments) or bus)
+    link = CanLink(CanConfig(interface="zlgcan", channel=1, device_type=43, library="zlg"))
+    each = {"bitrate": 1_000_000, "dbitrate": 5_000_000, "resistance": 1}
+    assert wanted == {
+        "interface": "zlgcan",
+        "channel": 1,
+        "device_type": 43,
+        "device_index": 0,
+        "libpath": "zlg",
+        "configs": [each, each],
+    }
+    link.send(Frame(0x107, bytes(8)))
+    assert [message.channel for message in bus.sent] == [1]
+    assert [link.receive(0.0), link.receive(0.0)] == [None, Frame(0x189, b"")]
+
+
+def test_whatever_a_makers_back_end_raises_ends_no_thread(monkeypatch):
+    monkeypatch.setattr(can, "Bus", lambda **_arguments: Bus(ValueError("RUST-CAN - device was removed")))
+    link = CanLink(CanConfig(interface="zlgcan", channel=0))
+    with pytest.raises(Busy, match="device was removed"):
+        link.send(Frame(0x107, bytes(8)))
+    with pytest.raises(BadFrame, match="device was removed"):
+        link.receive(0.0)
 
 
 @pytest.mark.parametrize(

@@ -117,13 +117,14 @@ def test_a_queue_that_stays_full_and_a_lost_device_are_opened_again_without_torq
     driven.links[0].send_error = Busy()
     frame = driven.wait(lambda frame: frame.counts.get("opens", 0) == 2)
     assert frame.counts["busy"] == BUSY_CYCLES and driven.links[0].closed
+    assert driven.port.last_error == "nothing can be sent: the queue stays full"
     driven.fails = True
     driven.links[1].send_error = LinkError("network is down")
-    driven.wait(lambda frame: frame.link is Link.DOWN)
-    assert driven.port.last_error in ("network is down", "no such device")
+    frame = driven.wait(lambda frame: frame.link is Link.DOWN)
+    assert frame.error in ("network is down", "no such device")
     driven.fails = False
     frame = driven.wait(lambda frame: frame.link is Link.UP and frame.age_ms.max() < 50)
-    assert frame.drive is Drive.OFF and not frame.enabled.any()
+    assert frame.drive is Drive.OFF and not frame.enabled.any() and not frame.error
 
 
 @pytest.mark.parametrize("where", ["send", "receive"])
