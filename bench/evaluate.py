@@ -64,15 +64,21 @@ def load_snapshot(run: Path) -> Snapshot:
 
 
 def evaluate(
-    cell: Cell, model: Snapshot | AgentModel, watch: Callable[[LockstepRun], None] = lambda _: None
+    cell: Cell,
+    model: Snapshot | AgentModel,
+    watch: Callable[[LockstepRun], None] = lambda _: None,
+    log_dir: Path | None = None,
 ) -> list[Row]:
-    """Run the cell's held-out goals with this model; one row a goal. Raises Stalled."""
+    """Run the cell's held-out goals with this model; one row a goal. Raises Stalled.
+
+    `log_dir` receives the bus log of each service.
+    """
     with tempfile.TemporaryDirectory() as directory:
         alone = cell.model_copy(update={"run_dir": Path(directory)})
         if isinstance(model, AgentModel):
-            run = assemble(alone, agent=model)
+            run = assemble(alone, agent=model, log_dir=log_dir)
         else:
-            run = assemble(alone, WITHOUT_LEARNER, snapshot=model)
+            run = assemble(alone, WITHOUT_LEARNER, snapshot=model, log_dir=log_dir)
         run.drive(lambda: watch(run))
         return read_rows(Path(directory))
 

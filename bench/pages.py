@@ -36,8 +36,8 @@ Goals that training never saw; mean and deviation over seeds, dashed with fewer 
 """
 
 
-def page(outcomes: Outcomes, ceilings: Mapping[str, Sequence[Row]]) -> str:
-    """The whole page; `ceilings` are the committed references by task."""
+def page(outcomes: Outcomes, ceilings: Mapping[str, Sequence[Row]], case_studies: Sequence[str] = ()) -> str:
+    """The whole page; `ceilings` are the committed references by task, `case_studies` files beside the page."""
     parts = [
         _HEAD,
         "## In short\n\n" + headline(outcomes, ceilings),
@@ -45,6 +45,7 @@ def page(outcomes: Outcomes, ceilings: Mapping[str, Sequence[Row]]) -> str:
         _FIGURES,
         "## Aims\n\n" + table(("task", "aim", "measured", "met"), aims(outcomes, ceilings)),
         *(_task(task, outcomes.get(task, {}), ceilings.get(task, ())) for task in TASKS),
+        *(f"* A case study: [{name}]({name})\n" for name in case_studies),
         steps(outcomes.get("reach", {})),
         ablations(outcomes),
         cost(outcomes),

@@ -73,8 +73,9 @@ def _texts(places: Places) -> dict[Path, str]:
     found, ceilings = outcomes(committed_rows(places.results)), _ceilings(places.results)
     readme = places.readme.read_text(encoding="utf-8")
     table = headline(found, ceilings)
+    case_studies = sorted(path.name for path in places.pages.glob("case_study_*.md"))
     return {
-        places.pages / PAGE_FILE: page(found, ceilings),
+        places.pages / PAGE_FILE: page(found, ceilings, case_studies),
         places.readme: _HEADLINE.sub(lambda marks: f"{marks[1]}{table}{marks[2]}", readme),
     }
 

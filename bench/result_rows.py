@@ -107,15 +107,12 @@ def references_of(rows: Sequence[Row]) -> list[Row]:
 
 
 def about_run(directory: Path, rows: Sequence[Row], at: Row) -> Row:
-    """Whose result it is, at the evaluation that begins with the row `at` of the run.
-
-    `label` is what its curves are called: the name of its group in a sweep, or the method's.
-    """
+    """Whose result it is, at the evaluation that begins with the row `at` of the run."""
     session = json_lines(directory / SESSIONS_FILE)[-1]
     return {
         "task": at["task"],
         "method": at.get("method"),
-        "label": _label(directory, at),
+        "label": label_of(directory, at),
         "seed": at["seed"],
         "episode": at["trained_episodes"],
         "config_hash": at.get("config_hash"),
@@ -125,7 +122,8 @@ def about_run(directory: Path, rows: Sequence[Row], at: Row) -> Row:
     }
 
 
-def _label(directory: Path, row: Row) -> str:
+def label_of(directory: Path, row: Row) -> str:
+    """What a run's curves are called: its group's name in a sweep (OUT/TASK/NAME/SEED), or its method."""
     task, name, seed = ("", "", "", *directory.resolve().parts)[-3:]
     in_sweep = (task, seed) == (row["task"], str(row["seed"]))
     return name if in_sweep else row.get("method", directory.name)

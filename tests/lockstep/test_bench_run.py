@@ -5,10 +5,12 @@ import subprocess
 import sys
 from contextlib import nullcontext
 
+import numpy as np
 import pytest
 import yaml
 
 from bench import evaluate as evaluation
+from bench.case_study import study_of
 from bench.lockstep_run import assemble
 from bench.methods import configure
 from bench.result_rows import final_row, keep_evaluation
@@ -16,6 +18,7 @@ from bench.run import _claim, train
 from common.buslog import log_files
 from common.config import ConfigError
 from deploy.curriculum_files import read_rows
+from services.sim.plant import ShadowHandPlant
 
 # Enough random motion for a model that does not diverge, and no more.
 TINY = (
@@ -114,6 +117,23 @@ def test_evaluation_runs_the_newest_model_on_held_out_goals(finished):
     row = final_row(directory)
     assert (row["method"], row["seed"], row["episode"], row["goals"]) == ("gc_pmpc_plus", 0, 2, 2)
     assert row["mean_finger_error_mm"] == pytest.approx(1e3 * found["error_mean_finger_m"]["mean"], abs=1e-3)
+
+
+def test_a_case_study_has_every_state_of_its_episodes(finished):
+    directory, _ = finished
+    task, study = study_of([directory], 2, 1_000_000)
+    episodes = study["GC-PMPC+ (ours)"]
+    cell = evaluation.configuration(directory, 2, 1_000_000, [])
+    rows = evaluation.evaluate(cell, evaluation.load_snapshot(directory))
+    for seed, episode, row in zip((1_000_000, 1_000_001), episodes, rows, strict=True):
+        start = ShadowHandPlant("reach", seed)
+        assert episode.states.shape == (21, 63)
+        np.testing.assert_allclose(episode.states[0], start.state, atol=1e-6)
+        np.testing.assert_allclose(episode.goal, start.goal, atol=1e-6)
+        end = task.errors(episode.states[-1], episode.goal)["mean_finger_m"]
+        assert float(end) == pytest.approx(row["error_mean_finger_m"], abs=1e-6)
+    with pytest.raises(ConfigError, match="nowhere"):
+        study_of([directory / "nowhere"], 2, 1_000_000)
 
 
 @pytest.mark.parametrize("module", ["bench.run", "bench.evaluate", "bench.ceiling", "bench.sweep"])

@@ -59,6 +59,8 @@ def test_what_is_missing_is_shown_as_missing():
     text = page(outcomes([row()]), {})
     assert line(text, "`td7`") == ["`td7`", *["none"] * 4]
     assert set(line(section([row()], "reach"), "`td7`")[1:]) == {"–"}
+    assert "case study" not in text
+    assert "* A case study: [case_study_egg.md](case_study_egg.md)\n" in page({}, {}, ["case_study_egg.md"])
     assert "there is no run of it yet" in section([row()], "egg\n")
     assert line(headline(outcomes([row()]), {}), "egg") == ["egg", "–", "–", "–", "80%", "–"]
 
