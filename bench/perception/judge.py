@@ -31,7 +31,7 @@ class Answers:
     claimed: list[bool] = field(default_factory=list[bool])
     started: list[bool] = field(
         default_factory=list[bool]
-    )  # False until the die was found for the first time
+    )  # False until the first pose was told
     frame_ms: list[float] = field(default_factory=list[float])
     frame_cpu_ms: list[float] = field(default_factory=list[float])
     register_cpu_ms: list[float] = field(default_factory=list[float])
@@ -52,15 +52,15 @@ def follow(backend: PoseBackend, frames: Iterable[Frame], rate_hz: float) -> Ans
     answers = Answers()
     started, pending = False, None
     for index, frame in enumerate(frames):
+        wall, cpu = time.perf_counter(), time.thread_time()
         if pending is not None and index >= pending[0]:
             if isinstance(pending[1], PoseEstimate):
                 backend.adopt(pending[1])
-                started = True
             pending = None
-        wall, cpu = time.perf_counter(), time.thread_time()
         answer = backend.track(frame)
         answers.frame_cpu_ms.append(1e3 * (time.thread_time() - cpu))
         answers.frame_ms.append(1e3 * (time.perf_counter() - wall))
+        started = started or isinstance(answer, PoseEstimate)
         answers.take(answer, started)
         if isinstance(answer, Unseen) and pending is None:
             cpu = time.thread_time()

@@ -53,8 +53,6 @@ class CpuBackend:
         found = register(frame, self._tracker.fitter, self._before(frame), mask)
         if found is None:
             return self._unseen(frame, "no die found in the picture")
-        if found.posterior[0] < self._gate.label_to_begin:
-            return self._unseen(frame, "a die, but what is seen of it could be several of its faces")
         return self._estimate(frame, found.fit, found.posterior, claimed=False)
 
     def _before(self, frame: Frame) -> Before | None:
@@ -66,36 +64,66 @@ class CpuBackend:
         return Before(pose, self._gate.turn_rad + self._gate.turn_rad_s * since_s)
 
     def adopt(self, found: PoseEstimate) -> None:
-        """Follow the die from a pose of `register`, through the frames that came since."""
-        if self._state in (PoseState.TRACKING, PoseState.SUSPECT):
+        """Follow the die from a pose of `register`, through the frames that came since.
+
+        A pose whose faces are not known is followed, but not told until they are.
+        """
+        if not self._searching:
             return  # found again on its own meanwhile
+        surer = found.label_posterior[0] > self._tracker.posterior[0]
+        if self._good and not surer:
+            return
         self._tracker.start(from_matrix(found.T_camera_die), found.t_ns, found.label_posterior)
-        self._state, self._bad, self._good = PoseState.SUSPECT, 0, 0
-        since = [frame for frame in self._recent if frame.t_ns > found.t_ns]
-        for frame in since:
+        self._bad = self._good = 0
+        for frame in [frame for frame in self._recent if frame.t_ns > found.t_ns]:
             if self._tracker.step(frame) is None:
                 break
+        if self._tracker.posterior[0] >= self._gate.label_to_begin:
+            self._state = PoseState.SUSPECT
 
     def track(self, frame: Frame) -> PoseEstimate | Unseen:
         """The pose in this frame from the one before."""
-        searching = self._state in (PoseState.SEARCHING, PoseState.LOST)
-        if searching:
+        if self._searching:
             self._recent.append(frame)
-        else:
-            self._recent.clear()
-        if self._state is PoseState.SEARCHING:
-            return self._unseen(frame, "searching for the die")
-        fit = self._tracker.step(frame, thorough=not searching)
-        fits = fit is not None and self._fits(fit) and not (searching and fit.poor)
-        self._bad, self._good = (0, self._good + 1) if fits else (self._bad + 1, 0)
-        if fit is None or (not fits and (searching or self._bad >= self._gate.lost_after)):
+            return self._watch(frame)
+        self._recent.clear()
+        fit = self._tracker.step(frame)
+        fits = fit is not None and self._fits(fit)
+        self._count(fits)
+        if fit is None or self._bad >= self._gate.lost_after:
             self._state = PoseState.LOST
             return self._unseen(frame, "lost the die; searching")
+        return self._told(frame, fit, fits)
+
+    def _watch(self, frame: Frame) -> PoseEstimate | Unseen:
+        """While searching: whether the die is still where it was last, or its faces are known by now."""
+        fit = self._tracker.step(frame, thorough=self._good > 0)
+        fits = fit is not None and self._fits(fit) and not fit.poor
+        self._count(fits)
+        if fit is None or not fits:
+            return self._unseen(frame, f"{'lost' if self._lost else 'searching for'} the die")
+        if self._tracker.posterior[0] < self._gate.label_to_begin:
+            return self._unseen(frame, "a die, but what is seen of it could be several of its faces")
+        return self._told(frame, fit, fits)
+
+    def _told(self, frame: Frame, fit: Fit, fits: bool) -> PoseEstimate:
+        """The estimate of a pose that is followed."""
         sure = fits and self._good >= self._gate.good_after_loss and self._knows(fit)
         self._state = PoseState.TRACKING if sure else PoseState.SUSPECT
         if sure:
             self._seen = fit.pose, frame.t_ns
         return self._estimate(frame, fit, self._tracker.posterior, sure)
+
+    @property
+    def _searching(self) -> bool:
+        return self._state in (PoseState.SEARCHING, PoseState.LOST)
+
+    @property
+    def _lost(self) -> bool:
+        return self._state is not PoseState.SEARCHING
+
+    def _count(self, fits: bool) -> None:
+        self._bad, self._good = (0, self._good + 1) if fits else (self._bad + 1, 0)
 
     def reset(self) -> None:
         """Forget everything: SEARCHING."""
@@ -130,6 +158,5 @@ class CpuBackend:
         )
 
     def _unseen(self, frame: Frame, message: str) -> Unseen:
-        lost = self._state in (PoseState.LOST, PoseState.SUSPECT, PoseState.TRACKING)
-        state = PoseState.LOST if lost else PoseState.SEARCHING
+        state = PoseState.LOST if self._lost else PoseState.SEARCHING
         return Unseen(state, message, frame.t_ns, frame.frame_number)

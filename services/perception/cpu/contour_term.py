@@ -24,6 +24,7 @@ _STRANGEST = 4.0  # log-likelihood against a face of a pixel that has any other 
 _INSIDE_PX, _OUTSIDE_PX = 4.0, 5.0  # where depth beside an edge is read
 _NEARER_M = 0.008
 _FARTHER_M, _FAR_ODDS = 0.02, 1.0  # so far behind the edge is not the die: against it, in log-odds
+_WIDE_PX = 10.0  # from so long a line on every other pixel is enough
 _CLEAR_PX2, _NEAR_PX, _LEAST_POINTS = 6.0, 2.5, 6
 _LEAST_SPREAD = 7.0  # levels
 _LEAST_SAMPLES = 12.0
@@ -81,9 +82,10 @@ class Borders(NamedTuple):
 def search(pose: Pose, surface: Surface, view: View, paint: FacePaint, half_px: float) -> Borders:
     """Look for a border within `half_px` of each point on an edge."""
     edges = edges_of(pose, surface, view.camera)
-    steps = np.arange(-half_px, half_px + 0.5)
+    step_px = 1.0 if half_px < _WIDE_PX else 2.0
+    steps = np.arange(-half_px, half_px + 0.5, step_px)
     lines = edges.pixels[:, None] + steps[:, None] * edges.across[:, None]
-    found, variance = border(_line_odds(edges, lines, view, paint), 1.0)
+    found, variance = border(step_px * _line_odds(edges, lines, view, paint), step_px)
     return Borders(edges, found, variance, free_of_others(edges, view))
 
 
@@ -120,7 +122,7 @@ def _line_odds(edges: Edges, lines: Float64, view: View, paint: FacePaint) -> Fl
     near, far = (_strangeness(colours, faces[crease], paint) for faces in (edges.near, edges.far))
     odds[crease] = far - near
     rim = ~crease
-    table = np.clip(bilinear(view.odds, lines[rim]).astype(np.float64), -_MOST_ODDS, _MOST_ODDS)
+    table = np.minimum(np.maximum(bilinear(view.odds, lines[rim]), -_MOST_ODDS), _MOST_ODDS)
     behind = _depth_at(view, lines[rim]) > edges.points[rim, 2:] + _FARTHER_M
     odds[rim] = table - _FAR_ODDS * behind
     return odds
@@ -136,7 +138,8 @@ def _depth_at(view: View, pixels: Float64) -> Float32:
     """Depth (...) m of the pixels nearest to (..., 2), at the crop's rim those within; 0: no reading."""
     rows, columns = view.depth.shape
     at = np.rint(pixels).astype(np.int64)
-    return view.depth[np.clip(at[..., 1], 0, rows - 1), np.clip(at[..., 0], 0, columns - 1)]
+    at = np.minimum(np.maximum(at, 0), (columns - 1, rows - 1))
+    return view.depth[at[..., 1], at[..., 0]]
 
 
 def free_of_others(edges: Edges, view: View) -> Float64:

@@ -9,11 +9,11 @@ import numpy as np
 
 from services.perception.backend import Quality
 from services.perception.cpu.colours import ColourModel
-from services.perception.cpu.contour_term import edge_agreement, face_paint, search
+from services.perception.cpu.contour_term import edge_agreement, search
 from services.perception.cpu.labels import log_likelihood, unexplained
 from services.perception.cpu.pose import Float64, Pose, orthonormal
-from services.perception.cpu.refine import Noise, Prior, refine, trusted
-from services.perception.cpu.samples import Samples, sample_faces
+from services.perception.cpu.refine import Noise, Prior, refine, see
+from services.perception.cpu.samples import Samples
 from services.perception.cpu.surface import Surface
 from services.perception.cpu.view import Camera, View, bilinear, crop_around, view_of
 from services.perception.frames import Frame
@@ -110,13 +110,11 @@ class Fitter:
         tuning = self.tuning
         pose, weight = refine(start, prior, self.surface, view, tuning.noise)
         pose = Pose(orthonormal(pose.rotation), pose.translation)
-        samples = sample_faces(pose, self.surface, view)
-        trust = trusted(samples, self.surface.grid, tuning.noise)
+        samples, trust, paint = see(pose, self.surface, view, tuning.noise)
         left, total = self._unexplained(samples, trust, view)
         count = float(trust.sum())
         worth, most = (tuning.pip_worth_alone, np.inf) if alone else (tuning.pip_worth, tuning.most_evidence)
         likelihood = log_likelihood(left, tuning.pip_noise**2 * count + 1.0, worth * count, most)
-        paint = face_paint(samples, self.surface, trust, view)
         edges = edge_agreement(search(pose, self.surface, view, paint, _EDGE_PX), _EDGE_PX)
         return Fit(pose, weight, samples, likelihood, judge(samples, float(left[0]), total), edges)
 

@@ -6,18 +6,22 @@ from typing import Any, NamedTuple
 
 import cv2 as compiled_cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from services.perception.cpu.pose import Float64, exponential, orthonormal
-from services.perception.cpu.terms import tukey
-from services.perception.cpu.view import View
+from services.perception.cpu.terms import cross, dot, tukey
+from services.perception.cpu.view import Float32, View
 
 cv2: Any = compiled_cv2  # its stubs know neither dtypes nor optional maps
+
+Int64 = NDArray[np.int64]
 
 _SMOOTH_PX = 9  # stereo noise is correlated over 5 px
 _STEP_PX = 6
 _STRIDE = 3
 _JUMP_M = 0.02
 _CUTOFF_RAD = 0.35
+_SECOND_FACE = 0.15  # of the normals of the first: fewer are noise
 
 
 class Oriented(NamedTuple):
@@ -30,26 +34,32 @@ class Oriented(NamedTuple):
 def oriented_points(view: View, centre: Float64, radius_m: float) -> Oriented:
     """Points within `radius_m` of `centre` (3,) on a smooth surface of the die's colour."""
     depth = view.depth
-    rows, columns = depth.shape
-    valid = (depth > 0).astype(np.float32)
-    weight = cv2.blur(valid, (_SMOOTH_PX, _SMOOTH_PX))
+    weight = cv2.blur((depth > 0).astype(np.float32), (_SMOOTH_PX, _SMOOTH_PX))
     smooth = cv2.blur(depth, (_SMOOTH_PX, _SMOOTH_PX)) / np.maximum(weight, 1e-6)
-    v, u = np.mgrid[0:rows, 0:columns].astype(np.float32)
-    camera = view.camera
-    points = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
-    points *= smooth[..., None]
-    inner = (slice(_STEP_PX, -_STEP_PX, _STRIDE), slice(_STEP_PX, -_STEP_PX, _STRIDE))
-    across = points[_STEP_PX:-_STEP_PX, 2 * _STEP_PX :] - points[_STEP_PX:-_STEP_PX, : -2 * _STEP_PX]
-    down = points[2 * _STEP_PX :, _STEP_PX:-_STEP_PX] - points[: -2 * _STEP_PX, _STEP_PX:-_STEP_PX]
-    across, down = across[::_STRIDE, ::_STRIDE], down[::_STRIDE, ::_STRIDE]
-    normals = np.cross(down, across)
-    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
-    middle = points[inner]
-    good = (weight[inner] > 0.6) & (view.odds[inner] > 0)
+    rows, columns = (np.arange(_STEP_PX, size - _STEP_PX, _STRIDE) for size in depth.shape)
+    grid = np.ix_(rows, columns)
+    right, left = (_points(smooth, rows, columns + step, view) for step in (_STEP_PX, -_STEP_PX))
+    below, above = (_points(smooth, rows + step, columns, view) for step in (_STEP_PX, -_STEP_PX))
+    across, down = right - left, below - above
+    middle = _points(smooth, rows, columns, view)
+    good = (weight[grid] > 0.6) & (view.odds[grid] > 0)
     good &= (np.abs(across[..., 2]) < _JUMP_M) & (np.abs(down[..., 2]) < _JUMP_M)
-    good &= np.abs(smooth[inner] - depth[inner]) < 0.004
-    good &= np.linalg.norm(middle - centre, axis=-1) < radius_m
-    return Oriented(middle[good].astype(np.float64), normals[good].astype(np.float64))
+    good &= np.abs(smooth[grid] - depth[grid]) < 0.004
+    away = middle - centre
+    good &= (away * away).sum(axis=-1) < radius_m**2
+    normals = cross(down[good], across[good])
+    normals /= np.maximum(np.sqrt(dot(normals, normals)), 1e-12)[:, None]
+    return Oriented(middle[good], normals)
+
+
+def _points(depth: Float32, rows: Int64, columns: Int64, view: View) -> Float64:
+    """Points (rows, columns, 3) m of the pixels where `rows` and `columns` cross."""
+    z = depth[np.ix_(rows, columns)].astype(np.float64)
+    points = np.empty((*z.shape, 3))
+    points[..., 0] = (columns - view.camera.cx) / view.camera.fx * z
+    points[..., 1] = ((rows - view.camera.cy) / view.camera.fy)[:, None] * z
+    points[..., 2] = z
+    return points
 
 
 def cube_axes(normals: Float64, starts: Float64, iterations: int = 8) -> tuple[Float64, float]:
@@ -58,25 +68,37 @@ def cube_axes(normals: Float64, starts: Float64, iterations: int = 8) -> tuple[F
     One of 24 that are alike. Each of the `starts` (S, 3, 3) assigns normals to axes and turns to fit them
     (orthogonal Procrustes), over again.
     """
-    best, best_share = np.eye(3), -1.0
-    for start in starts:
-        rotation, weights = start, np.zeros(len(normals))
-        for _ in range(iterations):
-            rotation, weights = _turned_to(rotation, normals)
-        share = float(weights.mean()) if len(weights) else 0.0
-        if share > best_share:
-            best, best_share = rotation, share
-    return best, best_share
+    rotations, weights = starts, np.zeros((len(starts), len(normals)))
+    for _ in range(iterations):
+        rotations, weights = _turned_to(rotations, normals)
+    share = weights.mean(axis=1) if len(normals) else np.zeros(len(starts))
+    best = int(np.argmax(share))
+    return rotations[best], float(share[best])
 
 
-def _turned_to(rotation: Float64, normals: Float64) -> tuple[Float64, Float64]:
-    local = normals @ rotation
-    axis = np.argmax(np.abs(local), axis=1)
-    cosine = np.abs(local[np.arange(len(local)), axis])
-    weights = tukey(np.arccos(np.clip(cosine, -1, 1)), _CUTOFF_RAD)
-    nearest = np.zeros_like(local)
-    nearest[np.arange(len(local)), axis] = np.sign(local[np.arange(len(local)), axis])
-    return orthonormal((weights[:, None] * normals).T @ nearest + 1e-9 * rotation), weights
+def _turned_to(rotations: Float64, normals: Float64) -> tuple[Float64, Float64]:
+    """Rotations (S, 3, 3) turned towards the normals that are near their axes, and those weights (S, N)."""
+    local = normals @ rotations
+    size = np.abs(local)
+    cosine = size.max(axis=-1)
+    weights = tukey(np.arccos(np.minimum(cosine, 1.0)), _CUTOFF_RAD)
+    nearest = np.where(size == cosine[..., None], np.sign(local), 0.0)
+    spread = (weights[..., None] * nearest).swapaxes(-1, -2) @ normals
+    return orthonormal(spread.swapaxes(-1, -2) + 1e-9 * rotations), weights
+
+
+def free_turns(rotation: Float64, normals: Float64, count: int) -> Float64:
+    """Rotations (R, 3, 3) that the normals (N, 3) tell not apart from `rotation`, itself the first.
+
+    From a single face nothing says how the cube is turned about that face's normal.
+    """
+    cosines = np.abs(normals @ rotation)
+    near = (cosines > np.cos(_CUTOFF_RAD)).sum(axis=0)
+    main = int(np.argmax(near))
+    if np.delete(near, main).max() > _SECOND_FACE * near[main]:
+        return rotation[None]
+    turns = np.arange(count) / count * (np.pi / 2)
+    return np.stack([exponential(turn * rotation[:, main]) @ rotation for turn in turns])
 
 
 def spread_rotations(count: int, seed: int = 0) -> Float64:

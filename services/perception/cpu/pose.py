@@ -64,9 +64,10 @@ def motion(source: Pose, target: Pose) -> Float64:
 
 
 def orthonormal(rotation: Float64) -> Float64:
-    """The rotation nearest to a matrix (3, 3) that rounding has moved off the group."""
+    """The rotations nearest to matrices (..., 3, 3) that rounding has moved off the group."""
     left, _, right = np.linalg.svd(rotation)
-    return left @ np.diag([1.0, 1.0, float(np.linalg.det(left @ right))]) @ right
+    left[..., 2] *= np.linalg.det(left @ right)[..., None]
+    return np.asarray(left @ right, np.float64)
 
 
 def from_matrix(transform: Float64) -> Pose:

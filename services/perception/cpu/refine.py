@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import cv2 as compiled_cv2
 import numpy as np
 
-from services.perception.cpu.contour_term import contour_term, face_paint, search
+from services.perception.cpu.contour_term import FacePaint, contour_term, face_paint, search
 from services.perception.cpu.depth_term import depth_term
 from services.perception.cpu.pip_term import pip_term
 from services.perception.cpu.pose import Pose, motion, moved
@@ -81,10 +81,24 @@ def trusted(samples: Samples, grid: int, noise: Noise) -> Float64:
     return trust * (covered == 0)
 
 
-def system(pose: Pose, surface: Surface, view: View, noise: Noise, stage: Stage) -> Normal:
-    """Normal equations of all terms at a pose that shows at least one face."""
+class Seen(NamedTuple):
+    """What the view has at the samples of a pose: `trust` (N,) in each, and the faces' own colours."""
+
+    samples: Samples
+    trust: Float64
+    paint: FacePaint
+
+
+def see(pose: Pose, surface: Surface, view: View, noise: Noise, paint: FacePaint | None = None) -> Seen:
+    """Sample the view; colours that are known from a pose nearby need not be measured again."""
     samples = sample_faces(pose, surface, view)
     trust = trusted(samples, surface.grid, noise)
+    return Seen(samples, trust, face_paint(samples, surface, trust, view) if paint is None else paint)
+
+
+def system(pose: Pose, seen: Seen, surface: Surface, view: View, *, noise: Noise, stage: Stage) -> Normal:
+    """Normal equations of all terms at a pose, from what is seen there."""
+    samples, trust, paint = seen
     sigma_m = noise.depth_per_m3 * float(pose.translation[2]) ** 3
     depth = depth_term(samples, surface, pose.translation, stage.depth_cutoff_m, sigma_m)
     texture = surface.sharp if stage.sharp else surface.soft
@@ -100,7 +114,6 @@ def system(pose: Pose, surface: Surface, view: View, noise: Noise, stage: Stage)
         sigma=noise.pip,
         sigma_brightness=noise.brightness,
     )
-    paint = face_paint(samples, surface, trust, view)
     borders = search(pose, surface, view, paint, stage.contour_px)
     contour = contour_term(borders, view, stage.contour_px, noise.outline_px, noise.crease_px)
     depth = depth._replace(weights=depth.weights * (trust > 0))
@@ -109,6 +122,7 @@ def system(pose: Pose, surface: Surface, view: View, noise: Noise, stage: Stage)
 
 
 _MOST_M, _MOST_RAD = 0.012, 0.2  # of one step
+_STILL_M, _STILL_RAD = 0.0001, 0.0015  # a smaller step is the last
 _DAMPING = np.diag([0.1**-2] * 3 + [1.0**-2] * 3)  # nobody is surer of less than 100 mm and 1 rad
 
 
@@ -117,8 +131,12 @@ def refine(
 ) -> tuple[Pose, Float64]:
     """The pose nearby that fits best, and its information (6, 6): the inverse of its covariance."""
     pose, information = start, _DAMPING
-    for stage in STAGES:
-        equations = system(pose, surface, view, noise, stage)
+    paint: FacePaint | None = None
+    for before, stage in zip((None, *STAGES), STAGES, strict=False):
+        closer = before is not None and stage.sharp and not before.sharp
+        seen = see(pose, surface, view, noise, None if closer else paint)
+        paint = seen.paint
+        equations = system(pose, seen, surface, view, noise=noise, stage=stage)
         information, vector = equations.matrix, equations.vector
         if prior is not None:
             information = information + prior.information
@@ -126,6 +144,8 @@ def refine(
         information = information + _DAMPING
         step = -np.asarray(np.linalg.solve(information, vector), np.float64)
         pose = moved(pose, _bounded(step))
+        if stage.sharp and np.abs(step[:3]).max() < _STILL_M and np.abs(step[3:]).max() < _STILL_RAD:
+            break
     return pose, information
 
 

@@ -5,6 +5,7 @@ Slow (tens of ms): it runs in a worker while tracking goes on elsewhere, on a co
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,14 +16,25 @@ from common.die import CUBE_ROTATIONS
 from services.perception.cpu.face_match import Match, match_face
 from services.perception.cpu.fit import Fit, Fitter
 from services.perception.cpu.labels import LABELS, bayes, relabelled
-from services.perception.cpu.normals import cube_axes, oriented_points, planes_along, spread_rotations
+from services.perception.cpu.normals import (
+    Oriented,
+    cube_axes,
+    free_turns,
+    oriented_points,
+    planes_along,
+    spread_rotations,
+)
 from services.perception.cpu.pose import Float64, Pose, angle_rad
 from services.perception.cpu.seeds import find_seeds
+from services.perception.cpu.surface import Surface
 from services.perception.cpu.view import View, colours_around, look_up
 from services.perception.frames import Frame
 
 _RADIUS_M = 0.075
 _STARTS = spread_rotations(24)
+_TURNS = 6  # of a single face, over a right angle
+_CERTAIN, _HOPELESS, _TRIED = 1.6, 0.9, 2  # scores of fits, and after how many one gives up
+_CLEAR_PIPS = 0.9
 
 
 class Found(NamedTuple):
@@ -56,7 +68,7 @@ def register(
         found = _register_at(frame, fitter, seed, before, most)
         if found is not None and (best is None or found.fit.score > best.fit.score):
             best = found
-        if best is not None and best.fit.score > 1.6 and not best.fit.poor:
+        if best is not None and _certain(best.fit):
             break
     return best
 
@@ -72,14 +84,31 @@ def _register_at(
     fitter = replace(fitter, colours=fitter.colours.learned(surroundings[:0], surroundings))
     view = view._replace(odds=look_up(fitter.colours.odds, view.colour))
     best: Fit | None = None
-    for start in _hypotheses(fitter, view, seed)[:most]:
+    for tried, start in enumerate(_hypotheses(fitter, view, seed, most)):
         fit = fitter.fit(start, None, view)
         if best is None or fit.score > best.score:
             best = fit
+        if _certain(best) or (tried >= _TRIED and best.score < _HOPELESS):
+            break
     if best is None or best.misplaced:
         return None
-    best = fitter.fit(best.pose, None, view, alone=True)
-    return None if best.strayed else _labelled(best, before)
+    found = _labelled(fitter.fit(best.pose, None, view, alone=True), before)
+    # Pips of a wrong labelling have pulled the pose: once more, with those that it has.
+    found = _labelled(fitter.fit(found.fit.pose, None, view, alone=True), before)
+    return found if _accepted(found.fit) else None
+
+
+def _certain(fit: Fit) -> bool:
+    """Whether no other start needs to be tried."""
+    return fit.score > _CERTAIN and not fit.poor
+
+
+def _accepted(fit: Fit) -> bool:
+    """Whether depth and outline, or depth and pips, agree with the pose.
+
+    The outline may be lost where colours around are not known yet; pips that fit so well are no chance.
+    """
+    return not fit.strayed or (not fit.misplaced and fit.quality.pip_ncc > _CLEAR_PIPS)
 
 
 def _labelled(fit: Fit, before: Before | None) -> Found:
@@ -99,13 +128,23 @@ def _label_prior(pose: Pose, before: Before | None) -> Float64:
     return chances / chances.sum()
 
 
-def _hypotheses(fitter: Fitter, view: View, seed: Float64) -> list[Pose]:
-    """Poses worth refining, the most likely first."""
-    surface = fitter.surface
+def _hypotheses(fitter: Fitter, view: View, seed: Float64, most: int) -> list[Pose]:
+    """Poses worth refining, at most `most`, the most likely first."""
     cloud = oriented_points(view, seed, _RADIUS_M)
     if len(cloud.points) < 40:
         return []
-    rotation, _ = cube_axes(cloud.normals, _STARTS)
+    axes, _ = cube_axes(cloud.normals, _STARTS)
+    found = [
+        (match, rotation)
+        for rotation in free_turns(axes, cloud.normals, _TURNS)
+        for match in _matches(rotation, cloud, fitter.surface, view)
+    ]
+    found.sort(key=lambda one: -one[0].score)
+    return _distinct((Pose(turned @ CUBE_ROTATIONS[m.label], m.centre) for m, turned in found), most)
+
+
+def _matches(rotation: Float64, cloud: Oriented, surface: Surface, view: View) -> list[Match]:
+    """The faces of a cube turned by `rotation` that the planes among the points may be."""
     least = max(20, len(cloud.points) // 20)
     matches: list[Match] = []
     for face, normal in enumerate(surface.normals @ rotation.T):
@@ -118,14 +157,15 @@ def _hypotheses(fitter: Fitter, view: View, seed: Float64) -> list[Pose]:
             middle = 0.5 * (np.percentile(points, 5, axis=0) + np.percentile(points, 95, axis=0))
             middle += (offset - normal @ middle) * normal
             matches += match_face(rotation, face, middle, surface, view)
-    matches.sort(key=lambda match: -match.score)
-    return _distinct([Pose(rotation @ CUBE_ROTATIONS[m.label], m.centre) for m in matches])
+    return matches
 
 
-def _distinct(poses: list[Pose]) -> list[Pose]:
-    """Poses in their order, without those that another one before them would be refined to."""
+def _distinct(poses: Iterable[Pose], most: int) -> list[Pose]:
+    """The first `most` poses, without those that another one before them would be refined to."""
     kept: list[Pose] = []
     for pose in poses:
+        if len(kept) == most:
+            break
         near = (np.linalg.norm(pose.translation - other.translation) < 0.006 for other in kept)
         same = (np.trace(pose.rotation.T @ other.rotation) > 2.9 for other in kept)
         if not any(a and b for a, b in zip(near, same, strict=True)):

@@ -49,7 +49,7 @@ def sample_faces(pose: Pose, surface: Surface, view: View) -> Samples:
     rays, seen = _read_depth(pixels, view)
     per_face = surface.points.shape[1]
     reach = np.repeat(normals @ pose.translation + surface.half, per_face)
-    slant = np.einsum("vpi,vi->vp", rays.reshape(len(faces), per_face, 3), normals).ravel()
+    slant = (rays.reshape(len(faces), per_face, 3) @ normals[:, :, None]).ravel()
     behind = np.where(seen > 0, seen - reach / np.minimum(slant, -1e-3), np.nan)
     return Samples(faces, normals, arms, points, pixels, rays, seen, behind)
 

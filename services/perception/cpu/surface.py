@@ -56,7 +56,7 @@ class Surface:
 
 
 def surface_of(
-    die: Die, grid: int = 18, along_edge: int = 12, blurs_m: tuple[float, float] = (0.0009, 0.0025)
+    die: Die, grid: int = 16, along_edge: int = 9, blurs_m: tuple[float, float] = (0.0009, 0.0025)
 ) -> Surface:
     """Samples of `die`: `grid`² a face, `along_edge` an edge; pips blurred by `blurs_m` (sharp, soft)."""
     core = die.half_m - die.corner_radius_m

@@ -125,7 +125,7 @@ def visible_faces(pose: Pose, surface: Surface, least: float = 0.12) -> NDArray[
     """Numbers (V,) from 0 of the faces that are turned to the camera by a cosine of more than `least`."""
     normals = surface.normals @ pose.rotation.T
     centres = pose.translation + surface.half * normals
-    facing = -np.einsum("ij,ij->i", normals, centres) / np.linalg.norm(centres, axis=1)
+    facing = -(normals * centres).sum(axis=1) / np.sqrt((centres * centres).sum(axis=1))
     return np.flatnonzero(facing > least)
 
 
