@@ -31,7 +31,7 @@ from services.sim.depth_noise import DepthNoise
 
 Make = Callable[[Die], PoseBackend]
 
-PHASES = (30, 60)  # when the board comes for the first time, twice through each sequence
+PHASES = (30, 45, 60)  # when the board comes for the first time, thrice through each sequence
 FAR_M = 0.5
 DEFAULT_BACKEND = "services.perception.cpu.backend:CpuBackend"
 

@@ -35,6 +35,7 @@ class Answers:
     frame_ms: list[float] = field(default_factory=list[float])
     frame_cpu_ms: list[float] = field(default_factory=list[float])
     register_cpu_ms: list[float] = field(default_factory=list[float])
+    attempts: list[int] = field(default_factory=list[int])  # 0 where it gave no pose
 
     def take(self, answer: PoseEstimate | Unseen, started: bool) -> None:
         """Append the answer to one frame."""
@@ -42,6 +43,7 @@ class Answers:
         self.poses.append(answer.T_camera_die if isinstance(answer, PoseEstimate) else _NEVER)
         self.claimed.append(seen and answer.claimed)
         self.started.append(started)
+        self.attempts.append(answer.attempts if isinstance(answer, PoseEstimate) else 0)
 
 
 def follow(backend: PoseBackend, frames: Iterable[Frame], rate_hz: float) -> Answers:
@@ -126,10 +128,11 @@ def judge(sequence: Sequence, answers: Answers) -> Judged:
     )
 
 
-def reacquired_after(judged: Judged) -> list[int | None]:
+def reacquired_after(judged: Judged, room: int) -> list[int | None]:
     """For each time the die was hidden: frames from its return to a claimed pose within 5 deg and 3 mm.
 
-    None where it did not come before the die was hidden again, or the sequence ended.
+    None where it did not come before the die was hidden again, or the sequence ended. Times that leave it
+    fewer than `room` frames to come in are no trials.
     """
     hidden = judged.sequence.occlusion[: len(judged.claimed)] > HIDDEN
     returns = np.flatnonzero(hidden[:-1] & ~hidden[1:]) + 1
@@ -138,6 +141,8 @@ def reacquired_after(judged: Judged) -> list[int | None]:
     after: list[int | None] = []
     for first in returns:
         last = min(end for end in ends if end > first)
+        if last - first < room:
+            continue
         found = np.flatnonzero(good[first:last])
         after.append(int(found[0]) if len(found) else None)
     return after

@@ -44,6 +44,7 @@ class PoseEstimate:
     quality: Quality
     t_ns: int  # the frame's capture time
     frame_number: int
+    attempts: int = 1  # fits from different starts that this frame needed
 
 
 @dataclass(frozen=True)

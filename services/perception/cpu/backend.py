@@ -155,6 +155,7 @@ class CpuBackend:
             quality=fit.quality,
             t_ns=frame.t_ns,
             frame_number=frame.frame_number,
+            attempts=fit.attempts,
         )
 
     def _unseen(self, frame: Frame, message: str) -> Unseen:

@@ -53,6 +53,7 @@ class Fit(NamedTuple):
     likelihood: Float64  # (24,) log, of the labellings
     quality: Quality
     edges: float  # share of the outline that is where it should be
+    attempts: int = 1  # starts that were tried
 
     @property
     def score(self) -> float:

@@ -122,6 +122,7 @@ def system(pose: Pose, seen: Seen, surface: Surface, view: View, *, noise: Noise
 
 
 _MOST_M, _MOST_RAD = 0.012, 0.2  # of one step
+_NEAR_M, _NEAR_RAD = 0.0015, 0.03  # after a smaller step, coarse stages are left out
 _STILL_M, _STILL_RAD = 0.0001, 0.0015  # a smaller step is the last
 _DAMPING = np.diag([0.1**-2] * 3 + [1.0**-2] * 3)  # nobody is surer of less than 100 mm and 1 rad
 
@@ -132,10 +133,12 @@ def refine(
     """The pose nearby that fits best, and its information (6, 6): the inverse of its covariance."""
     pose, information = start, _DAMPING
     paint: FacePaint | None = None
-    for before, stage in zip((None, *STAGES), STAGES, strict=False):
-        closer = before is not None and stage.sharp and not before.sharp
-        seen = see(pose, surface, view, noise, None if closer else paint)
-        paint = seen.paint
+    near, fine = False, False
+    for stage in STAGES:
+        if near and not stage.sharp:
+            continue
+        seen = see(pose, surface, view, noise, paint if stage.sharp is fine else None)
+        paint, fine = seen.paint, stage.sharp
         equations = system(pose, seen, surface, view, noise=noise, stage=stage)
         information, vector = equations.matrix, equations.vector
         if prior is not None:
@@ -144,7 +147,9 @@ def refine(
         information = information + _DAMPING
         step = -np.asarray(np.linalg.solve(information, vector), np.float64)
         pose = moved(pose, _bounded(step))
-        if stage.sharp and np.abs(step[:3]).max() < _STILL_M and np.abs(step[3:]).max() < _STILL_RAD:
+        shift, turn = np.abs(step[:3]).max(), np.abs(step[3:]).max()
+        near = bool(shift < _NEAR_M and turn < _NEAR_RAD)
+        if stage.sharp and shift < _STILL_M and turn < _STILL_RAD:
             break
     return pose, information
 

@@ -125,13 +125,14 @@ class Tracker:
         turned = [exponential(angle * axis) @ predicted.rotation for angle in (_TURN_RAD, -_TURN_RAD)]
         starts = [self._motion.pose, *(Pose(rotation, predicted.translation) for rotation in turned)]
         best = fit
-        for start in starts[: self._tuning.retries]:
+        starts = starts[: self._tuning.retries]
+        for start in starts:
             other = fitter.fit(start, None, view)
             if other.score > best.score + _BETTER:
                 best = other
         if best is fit:
             self._patience = _PATIENCE
-        return best
+        return best._replace(attempts=1 + len(starts))
 
     def _read_label(self, fit: Fit) -> Fit:
         slip = self._tuning.slip_when_poor if fit.poor else self._tuning.slip
@@ -140,4 +141,11 @@ class Tracker:
         if self._posterior[best] < max(2 * self._posterior[0], _LABEL_LEAST):
             return fit
         self._posterior = relabelled(self._posterior, best)
-        return fit._replace(pose=Pose(fit.pose.rotation @ CUBE_ROTATIONS[best], fit.pose.translation))
+        assert self._motion is not None
+        self._motion.pose = _turned(self._motion.pose, best)  # the die has not turned, its faces were misread
+        return fit._replace(pose=_turned(fit.pose, best))
+
+
+def _turned(pose: Pose, label: int) -> Pose:
+    """The pose with the faces of another labelling."""
+    return Pose(pose.rotation @ CUBE_ROTATIONS[label], pose.translation)

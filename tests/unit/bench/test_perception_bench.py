@@ -83,7 +83,7 @@ def test_the_report_has_what_is_asked_for_and_it_adds_up(report):
     assert high["within_5deg_3mm"] is None
     assert report["gross_claimed"] == pytest.approx((25 + 7) / 168, rel=1e-4)
     assert report["gross_claimed_far"] == pytest.approx(7 / 39, rel=1e-4)
-    # The longest sequence has room for two boards in the one phase and one in the other.
+    # The longest sequence has room for one trial in each of three phases.
     assert report["reacquisition"]["trials"] == 3
     assert (report["reacquired"], report["reacquisition"]["claimed_while_hidden"]) == (1.0, 0)
     assert report["seeds"] == [10]

@@ -117,9 +117,30 @@ def test_reacquisition_counts_from_the_first_frame_that_is_not_hidden():
     answers[5] = estimate(5, 0.004)  # claimed, but wrong
     answers[8] = answers[9] = Unseen(PoseState.LOST, "", 10, 9)
     judged = answered(sequence(hidden), answers)
-    assert reacquired_after(judged) == [2, None]
-    summed = summary.reacquired([judged])
-    assert (summed["trials"], summed["share"], summed["claimed_while_hidden"]) == (2, 0.5, 2)
+    assert reacquired_after(judged, room=2) == [2, None]
+    assert reacquired_after(judged, room=3) == [2]  # from the second return on two frames are left
+
+
+@pytest.mark.parametrize(("late", "share"), [(30, 1.0), (31, 0.0)])
+def test_a_share_of_the_trials_is_reacquired_in_time(late, share):
+    hidden = [0, 1, 1] + 40 * [0] + [1] + 29 * [0]  # the last return leaves too little room for a trial
+    found = [n < 3 or n >= 3 + late for n in range(len(hidden))]
+    answers = [
+        estimate(n) if seen else Unseen(PoseState.LOST, "", n + 1, n) for n, seen in enumerate(found)
+    ]
+    summed = summary.reacquired([answered(sequence(hidden), answers)])
+    assert (summed["trials"], summed["share"], summed["claimed_while_hidden"]) == (1, share, 3)
+
+
+def test_frames_that_needed_other_starts_are_timed_apart():
+    judged = answered(sequence([0.1] * 5), [estimate(n) for n in range(4)] + [Unseen(PoseState.LOST, "", 5, 4)])
+    judged.answers.attempts[3] = 4
+    judged.answers.frame_ms, judged.answers.frame_cpu_ms = [4.0, 5.0, 6.0, 20.0, 99.0], [1.0] * 5
+    times = summary.times([judged])
+    assert (times["retried"], times["frame_ms_median"]) == (0.25, 5.5)
+    assert times["frame_ms_p95"] == pytest.approx(6 + 0.85 * 14)
+    assert times["frame_ms_p95_without_retries"] == pytest.approx(5.9)
+    assert times["frame_ms_p95_of_retried"] == 20.0
 
 
 def test_the_board_hides_the_die_for_as_long_as_it_says():

@@ -9,7 +9,7 @@ from common.camera_messages import PoseState
 from common.die import DIE
 from services.perception.backend import PoseEstimate, Unseen
 from services.perception.cpu.backend import CpuBackend
-from services.perception.cpu.pose import angle_rad
+from services.perception.cpu.pose import angle_rad, exponential
 from tests.unit.services.perception.cpu.raycast import Ball, photograph, transform
 
 STEP_NS = 16_666_667
@@ -85,6 +85,37 @@ def test_blind_depth_is_never_a_claim(following):
     assert not any(isinstance(a, PoseEstimate) and a.claimed for a in answers)
     assert isinstance(answers[-1], Unseen)
     assert isinstance(CpuBackend(DIE).register(blind[0]), Unseen)
+
+
+def test_a_die_whose_faces_are_not_known_is_followed_but_not_told_until_they_are():
+    """Of a 2 alone there are two readings; when the die turns and shows another face, there is one."""
+    backend, answers = CpuBackend(DIE), []
+    for number in range(13):
+        truth = shown(2, turned_deg=1.5 * number)
+        rng = np.random.default_rng(number)
+        frame = photograph(truth, background=(90, 120, 60), number=number, t_ns=STEP_NS * number, rng=rng)
+        answers.append((backend.track(frame), truth))
+        if number == 0:
+            found = backend.register(frame)
+            assert found.label_posterior[0] == pytest.approx(0.5, abs=0.05)
+            backend.adopt(found)
+    told = [isinstance(answer, PoseEstimate) for answer, _ in answers]
+    assert not any(told[:6])
+    assert answers[3][0].state is PoseState.SEARCHING
+    assert "could be several of its faces" in answers[3][0].message
+    assert all(told[-3:])
+    assert answers[-1][0].claimed
+    for answer, truth in (one for one, seen in zip(answers, told, strict=True) if seen):
+        assert errors(answer, truth)[0] < 3.0
+
+
+def shown(number, turned_deg):
+    """A pose (4, 4) with a face to the camera, but for a turn about the picture's upward axis."""
+    toward = DIE.turned(number, (0.0, 0.0, -1.0), (1.0, 0.0, 0.0, 0.0))
+    axis, half = toward[1:] / np.linalg.norm(toward[1:]), np.arccos(toward[0])
+    truth = transform((0.0, 0.0, 0.42), axis, 2 * np.degrees(half))
+    truth[:3, :3] = exponential(np.array([0.0, np.radians(turned_deg), 0.0])) @ truth[:3, :3]
+    return truth
 
 
 def test_reset_forgets(following):
