@@ -66,6 +66,7 @@ def _bands(sequences: list[Sequence], make_backend: Make) -> dict[str, Any]:
     return {
         "bands": summary.bands(judged),
         "bands_far": summary.bands(judged_far),
+        "errors_by_occlusion": summary.errors_by_occlusion(judged),
         "gross_claimed": summary.gross_claimed(judged)["share"],
         "gross_claimed_far": summary.gross_claimed(judged_far)["share"],
         "gross_claimed_counts": {
@@ -108,7 +109,12 @@ def _baseline(sequences: list[Sequence]) -> dict[str, Any]:
         judged = [_icp(sequence) for sequence in sequences]
     except ImportError:
         return {"name": "plain ICP", "skipped": "small_gicp is not installed: pip install small_gicp"}
-    return {"name": "small_gicp PLANE_ICP", "bands": summary.bands(judged), **summary.times(judged)}
+    return {
+        "name": "small_gicp PLANE_ICP",
+        "bands": summary.bands(judged),
+        "errors_by_occlusion": summary.errors_by_occlusion(judged),
+        **summary.times(judged),
+    }
 
 
 def _icp(sequence: Sequence) -> Judged:

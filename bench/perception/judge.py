@@ -29,9 +29,7 @@ class Answers:
 
     poses: list[Float64] = field(default_factory=list[Float64])  # NaN where it gave none
     claimed: list[bool] = field(default_factory=list[bool])
-    started: list[bool] = field(
-        default_factory=list[bool]
-    )  # False until the first pose was told
+    started: list[bool] = field(default_factory=list[bool])  # False until the first pose was told
     frame_ms: list[float] = field(default_factory=list[float])
     frame_cpu_ms: list[float] = field(default_factory=list[float])
     register_cpu_ms: list[float] = field(default_factory=list[float])

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bench.perception.judge import HIDDEN, Judged, reacquired_after
 
 BANDS = ((0.0, 0.2), (0.2, 0.4), (0.4, 0.6))
+FINE = tuple((low / 10, (low + 1) / 10) for low in range(6))
 REACQUIRE_FRAMES = 30
 
 
@@ -28,6 +29,17 @@ def bands(judged: Sequence[Judged]) -> list[dict[str, Any]]:
         }
         for band in BANDS
     ]
+
+
+def errors_by_occlusion(judged: Sequence[Judged]) -> list[dict[str, Any]]:
+    """Rows for a picture: every tenth of occlusion in which there are frames."""
+    rows: list[dict[str, Any]] = []
+    for band in FINE:
+        full = figures(judged, band)
+        kept = {name: full[name] for name in ("frames", "within_5deg_3mm", "rotation_deg", "translation_mm")}
+        if full["frames"]:
+            rows.append({"occlusion": list(band), **kept})
+    return rows
 
 
 def figures(judged: Iterable[Judged], band: tuple[float, float] = (0.0, HIDDEN)) -> dict[str, Any]:

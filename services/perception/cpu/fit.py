@@ -40,7 +40,6 @@ class Tuning:
     most_evidence: float = 2.0
     slip: float = 1e-5
     slip_when_poor: float = 0.005
-    retries: int = 3
     learn_every: int = 4
 
 

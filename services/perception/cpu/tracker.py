@@ -122,10 +122,10 @@ class Tracker:
         """The best of fits from other starts, if it is clearly better."""
         assert self._motion is not None
         axis = predicted.translation / np.linalg.norm(predicted.translation)
-        turned = [exponential(angle * axis) @ predicted.rotation for angle in (_TURN_RAD, -_TURN_RAD)]
-        starts = [self._motion.pose, *(Pose(rotation, predicted.translation) for rotation in turned)]
+        angle = _TURN_RAD if self._frames % 2 else -_TURN_RAD  # one way now, the other way next time
+        turned = Pose(exponential(angle * axis) @ predicted.rotation, predicted.translation)
+        starts = self._motion.pose, turned
         best = fit
-        starts = starts[: self._tuning.retries]
         for start in starts:
             other = fitter.fit(start, None, view)
             if other.score > best.score + _BETTER:

@@ -125,15 +125,15 @@ def test_reacquisition_counts_from_the_first_frame_that_is_not_hidden():
 def test_a_share_of_the_trials_is_reacquired_in_time(late, share):
     hidden = [0, 1, 1] + 40 * [0] + [1] + 29 * [0]  # the last return leaves too little room for a trial
     found = [n < 3 or n >= 3 + late for n in range(len(hidden))]
-    answers = [
-        estimate(n) if seen else Unseen(PoseState.LOST, "", n + 1, n) for n, seen in enumerate(found)
-    ]
+    answers = [estimate(n) if seen else Unseen(PoseState.LOST, "", n + 1, n) for n, seen in enumerate(found)]
     summed = summary.reacquired([answered(sequence(hidden), answers)])
     assert (summed["trials"], summed["share"], summed["claimed_while_hidden"]) == (1, share, 3)
 
 
 def test_frames_that_needed_other_starts_are_timed_apart():
-    judged = answered(sequence([0.1] * 5), [estimate(n) for n in range(4)] + [Unseen(PoseState.LOST, "", 5, 4)])
+    judged = answered(
+        sequence([0.1] * 5), [estimate(n) for n in range(4)] + [Unseen(PoseState.LOST, "", 5, 4)]
+    )
     judged.answers.attempts[3] = 4
     judged.answers.frame_ms, judged.answers.frame_cpu_ms = [4.0, 5.0, 6.0, 20.0, 99.0], [1.0] * 5
     times = summary.times([judged])
