@@ -1,4 +1,4 @@
-"""`python -m bench.perception.figure RESULT.json OUT.png`: errors by occlusion, beside those of the plain ICP."""
+"""`python -m bench.perception.figure RESULT.json OUT.png`: errors by occlusion, beside a plain ICP's."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.perception import __main__ as bench
-from bench.perception import library
+from bench.perception import figure, library
 from bench.perception.sequence import Spec, Truth
 from services.perception.backend import PoseEstimate, PoseState, Quality, Unseen
 from services.perception.frames import Frame
@@ -94,3 +94,12 @@ def test_the_report_has_what_is_asked_for_and_it_adds_up(report):
 def test_a_backend_that_is_not_there_is_named(tmp_path):
     with pytest.raises(SystemExit, match="no_such_module:Backend"):
         bench.main(["--sequences", str(tmp_path), "--backend", "no_such_module:Backend"])
+
+
+def test_errors_by_occlusion_are_drawn_from_the_report(report, tmp_path):
+    rows = report["errors_by_occlusion"]
+    assert [(row["occlusion"], row["frames"]) for row in rows] == [([0.1, 0.2], 85), ([0.3, 0.4], 83)]
+    (tmp_path / "result.json").write_text(json.dumps(report))
+    out = tmp_path / "errors.png"
+    assert figure.main([str(tmp_path / "result.json"), str(out)]) == 0
+    assert 5_000 < out.stat().st_size < 500_000
