@@ -21,6 +21,7 @@ from deploy.arguments import USAGE
 from deploy.config_tables import cells, config, presets, sections
 from deploy.confirm_tables import confirm
 from deploy.markdown import Row, code, table
+from deploy.pose_tables import pose_bands, pose_bars, pose_looks, pose_times
 from deploy.processes import PROCESSES, Process
 from deploy.supervisor import REPOSITORY
 from deploy.topic_tables import messages, topics
@@ -156,6 +157,10 @@ TABLES: Mapping[str, Callable[[], str]] = types.MappingProxyType(
             tasks,
             methods,
             confirm,
+            pose_bars,
+            pose_bands,
+            pose_looks,
+            pose_times,
         )
     }
     | {f"config:{name}": lambda model=model: config(model) for name, model in sections().items()}

@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 
 from bench.can import free_port
-from common.buslog import log_files, read_log
 from common.dexhand021.tables import HIGH_RAD, LOW_RAD
 from common.messages import Fallback, Mode
-from common.topics import CHUNK, EPISODE, HAND_JOINTS, STEP, TWIN_FRAME
-from deploy import arm
-from tests.faults.cell import HEARD, Ear, LiveCell, free_ports, wait
-from tests.faults.hand_cell import DIE
+from common.topics import CHUNK, EPISODE, HAND_JOINTS, STEP
+from tests.faults.cell import free_ports, wait
+from tests.faults.twin_cell import TwinCell
 
 pytestmark = [pytest.mark.processes, pytest.mark.timeout(300)]
 
@@ -29,33 +27,6 @@ SETS = (
     "hand_io.auto_arm=false",
     "emulator.pose_hz=100",  # so that every round of physics is in the log
 )
-
-
-class TwinCell(LiveCell):
-    def listen(self):
-        self.ear = Ear(self.port, self.config, "die", (*HEARD, HAND_JOINTS))
-        return self.ear
-
-    def arm(self, *options):
-        words = [word for item in self.sets for word in ("--set", item)]
-        return arm.main([self.config, *words, *options])
-
-    @property
-    def state(self):
-        sample = self.heard.newest(HAND_JOINTS)
-        return sample.message.state if sample else ""
-
-    def said(self):
-        """The newest state of everybody, for a test that fails."""
-        return {name: health.state for name in self.processes() if (health := self.heard.health(name))}
-
-    def physics(self, since_ns):
-        """What the emulator noted of its twin since then, from its own bus log."""
-        found = []
-        for path in log_files(self.run_dir / "log", "emulator"):
-            entries = (entry for entry in read_log(path) if entry.key == TWIN_FRAME.key)
-            found += [DIE.decode(entry.key, entry.payload).message for entry in entries]
-        return [frame for frame in found if frame.t_ns > since_ns]
 
 
 @pytest.fixture(scope="module")

@@ -142,3 +142,28 @@ def test_registration_changes_nothing(following):
     for earlier, _ in FILM[1:4]:
         other.track(earlier)
     assert np.array_equal(following.track(frame).T_camera_die, other.track(frame).T_camera_die)
+
+
+def merged(first, second):
+    """What a camera sees of two scenes at once."""
+    nearer = second.depth < first.depth
+    colour = np.where(nearer[..., None], second.colour, first.colour)
+    return replace(first, colour=colour, depth=np.minimum(first.depth, second.depth))
+
+
+def test_a_second_die_in_view_is_not_taken_for_the_first(following):
+    """It is alike and nearer to the camera; when the first is hidden, no claim goes over to it."""
+    beside = photograph(transform((0.09, 0.01, 0.38), (0.2, 1.0, 0.5), 70.0), rng=np.random.default_rng(1))
+    both = [merged(frame, beside) for frame, _ in FILM[4:]]
+    for frame, (_, truth) in zip(both, FILM[4:], strict=True):
+        estimate = following.track(frame)
+        assert isinstance(estimate, PoseEstimate)
+        assert estimate.claimed
+        assert errors(estimate, truth)[1] < 1.0
+    gone = [
+        replace(beside, colour_time_ns=t_ns, depth_time_ns=t_ns, frame_number=number)
+        for number, t_ns in ((n, STEP_NS * n) for n in range(8, 12))
+    ]
+    answers = [following.track(frame) for frame in gone]
+    assert not any(isinstance(a, PoseEstimate) and a.claimed for a in answers)
+    assert (answers[-1].state, answers[-1].message) == (PoseState.LOST, "lost the die")
