@@ -100,7 +100,7 @@ def test_errors_by_occlusion_are_drawn_from_the_report(report, tmp_path):
     rows = report["errors_by_occlusion"]
     assert [(row["occlusion"], row["frames"]) for row in rows] == [([0.1, 0.2], 85), ([0.3, 0.4], 83)]
     for row in rows:  # the oracle errs by nothing, of which there is no logarithm
-        row |= dict.fromkeys(("rotation_deg", "translation_mm"), {"median": 1.0, "p90": 2.0})
+        row.update({kind: {"median": 1.0, "p90": 2.0} for kind in ("rotation_deg", "translation_mm")})
     (tmp_path / "result.json").write_text(json.dumps(report))
     out = tmp_path / "errors.png"
     assert figure.main([str(tmp_path / "result.json"), str(out)]) == 0
