@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+from bench.methods import METHODS, configure
 from bench.references import RESULTS
 from bench.result_rows import SESSIONS_FILE, results_of, trained_episodes
 from bench.summary import json_lines
@@ -15,6 +18,8 @@ from deploy.curriculum_files import ROWS_FILE, read_rows
 from deploy.scores import Row
 
 CONFIG_FILE = "config.yaml"  # of bench.run
+# What runs of one method may differ in.
+_ANY = re.compile(r"seed|run_dir|config_hash|log\..*|curriculum\.(episodes|evaluate_\w+)")
 
 
 class Refused(Exception):  # noqa: N818 - reads as what happened
@@ -30,7 +35,7 @@ def collect(places: Iterable[Path], unfinished: bool = False, results: Path = RE
     for directory in run_directories(places):
         try:
             rows = rows_of(directory, unfinished)
-            said.append(f"{directory}: {_put(rows, results)}")
+            said.append(f"{directory}: {_put(rows, results)}{_warning(directory, rows[0])}")
         except Refused as reason:
             said.append(f"{directory}: not collected: {reason}")
     return said
@@ -61,6 +66,30 @@ def rows_of(directory: Path, unfinished: bool = False) -> list[Row]:
     if not any(row["mode"] == "evaluate" for row in episodes):
         raise Refused("no evaluation")
     return results_of(directory)
+
+
+def differences(directory: Path, method: str) -> list[str]:
+    """In which values a run differs from its method as it is now; newer options are left out."""
+    config = read_yaml(directory / CONFIG_FILE)
+    now = configure(config["task"], method, (), directory).model_dump(mode="json")
+    ran, today = dict(_flat(config)), dict(_flat(now))
+    return [name for name in today if name in ran and ran[name] != today[name] and not _ANY.fullmatch(name)]
+
+
+def _flat(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in data.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def _warning(directory: Path, row: Row) -> str:
+    """A run under its method's own name should be that method."""
+    if row["label"] != row["method"] or row["method"] not in METHODS:
+        return ""
+    found = differences(directory, row["method"])
+    return f"; NOT {row['method']} as it is now: {', '.join(found)}" if found else ""
 
 
 def _put(rows: Sequence[Row], results: Path) -> str:

@@ -37,7 +37,7 @@ Goals that training never saw; mean and deviation over seeds, dashed with fewer 
 
 
 def page(outcomes: Outcomes, ceilings: Mapping[str, Sequence[Row]], case_studies: Sequence[str] = ()) -> str:
-    """The whole page; `ceilings` are the committed references by task, `case_studies` files beside the page."""
+    """The whole page; `ceilings` are the committed references by task, `case_studies` files beside it."""
     parts = [
         _HEAD,
         "## In short\n\n" + headline(outcomes, ceilings),

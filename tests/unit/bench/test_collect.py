@@ -90,6 +90,19 @@ def test_what_is_no_result_is_named_and_left_out(tmp_path, changes, reason):
     assert committed_rows(tmp_path) == []
 
 
+def test_a_run_that_is_not_its_method_is_told_unless_it_has_a_name_of_its_own(tmp_path):
+    for name in ("sac", "sac_more"):
+        run = make_run(tmp_path / "reach" / name / "0")
+        config = json.loads((run / "config.yaml").read_text())
+        config |= {"seed": 7, "warmup_steps": 20_000, "model": {"members": 3, "gone_since": 1}}
+        (run / "config.yaml").write_text(json.dumps(config))
+    said = collect([tmp_path], results=tmp_path)
+    assert [line.split(": ", 1)[1] for line in said] == [
+        "2 rows; NOT sac as it is now: warmup_steps, model.members",
+        "2 rows",
+    ]
+
+
 def test_an_unfinished_run_is_taken_when_asked_for(tmp_path):
     collect([make_run(tmp_path / "run", wanted=9)], True, tmp_path)
     assert summary(tmp_path)[-1] == ("sac", "sac", 0, 2, 1)
