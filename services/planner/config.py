@@ -93,6 +93,25 @@ class PlannerConfig(Frozen):
         description="further steps for which the last predicted reward stands; fewer as the episode ends",
     )
 
+    # What the model has lately been wrong by.
+    correction: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=1.0,
+        description="share of the newest prediction error by which predictions are corrected within an "
+        "episode; 0: none",
+    )
+    correction_groups: tuple[str, ...] = Field(
+        default=("tips",),
+        description="state groups that are corrected; names that the task lacks are skipped",
+    )
+    correction_bound: float = Field(
+        default=0.1, gt=0.0, description="error that a step counts for at most, in deviations of the change"
+    )
+    correction_pace: float = Field(
+        default=2.0, gt=0.0, description="how fast a step may be that counts, in such errors"
+    )
+
     # Search over candidates.
     search: Literal["cem", "icem", "none"] = Field(
         default="cem",

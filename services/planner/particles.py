@@ -8,6 +8,7 @@ Letters: B members, M masks, P = B·M particles, N candidates, I inputs, S state
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
@@ -140,17 +141,36 @@ class Particles:
         self._coordinates = coordinates
         self._raw = isinstance(coordinates, RawCoordinates)
         self._noise_head = noise_head
+        self._offset: Tensor | None = None
+
+    def corrected(self, offset: Tensor) -> Particles:
+        """The same networks, with `offset` (P, 1, D) added to every change that they predict."""
+        other = copy(self)
+        other._offset = offset
+        return other
+
+    def compared(self, state: Tensor, action: Tensor, next_state: Tensor) -> tuple[Tensor, Tensor]:
+        """The true change (D,) and what each network predicts (P, 1, D), without any offset.
+
+        One step: state and next state (S,), action (A,).
+        """
+        change = self._coordinates.change(state, next_state)
+        predicted = self._evaluate(state.expand(self.particles, 1, -1), action[None])
+        return change, predicted[..., : len(change)]
 
     def step(self, state: Tensor, action: Tensor, noise: torch.Generator | None = None) -> Tensor:
         """As `ParticleModel.step`; differentiable in state and action unless `noise` is given."""
         if torch.is_grad_enabled() and (state.requires_grad or action.requires_grad):
             inputs = self._coordinates.encode(*_aligned(state, action))
             change: Tensor = _Change.apply(inputs, self.network)  # pyright: ignore[reportAssignmentType]
-            return self._coordinates.moved(state, change)
+            return self._coordinates.moved(state, self._with_offset(change))
         delta = self._evaluate(state, action)
         if noise is not None:
             delta = self._drawn(delta, noise)
-        return self._coordinates.moved(state, delta)
+        return self._coordinates.moved(state, self._with_offset(delta))
+
+    def _with_offset(self, change: Tensor) -> Tensor:
+        return change if self._offset is None else change + self._offset
 
     def _evaluate(self, state: Tensor, action: Tensor) -> Tensor:
         if not self._raw or not state.shape[1] == 1 < len(action):

@@ -9,9 +9,11 @@ import numpy as np
 import torch
 
 from common.messages import Float32
+from common.model.dynamics import Dynamics
 from common.model.snapshot import Snapshot
 from common.task import Task
 from services.planner.config import PlannerConfig
+from services.planner.correction import Correction
 from services.planner.mpc import Mpc
 from services.planner.particles import Particles, particles
 
@@ -34,6 +36,8 @@ class Request:
     goal: Float32
     committed: Float32
     noise: Float32  # (steps, A), added to the plan's actions; zero unless the episode explores
+    seen_states: Float32  # (T + 1, S), of the executed steps since the last request, the newest last
+    seen_actions: Float32  # (T, A)
 
 
 @dataclass(frozen=True)
@@ -52,10 +56,14 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A snapshot's networks, laid out for planning; nothing changes it any more."""
+    """A snapshot's networks, laid out for planning; nothing changes it any more.
+
+    `corrected` (D,): the error that a step counts for at most in the correction of what they predict.
+    """
 
     snapshot_id: str
     particles: Particles
+    corrected: torch.Tensor
 
 
 class Solver:
@@ -69,6 +77,7 @@ class Solver:
         self._mpc = Mpc(config, task)
         self._prepared: Prepared | None = None  # what the Mpc plans with
         self._episode = (0, 0)
+        self._correction: Correction | None = None
 
     def prepare(self, payload: bytes) -> Prepared:
         """Check a snapshot and fold it for planning. Raises SnapshotRefused or ValueError."""
@@ -81,16 +90,26 @@ class Solver:
         if config.refines and config.refine == "adam":
             for layer in model.network.layers:
                 _ = layer.transposed  # made here, or the first plan would take longer
-        return Prepared(snapshot.id, model)
+        return Prepared(snapshot.id, model, self._corrected(dynamics))
+
+    def _corrected(self, dynamics: Dynamics) -> torch.Tensor:
+        most = torch.zeros_like(dynamics.normaliser.delta_std)
+        for group in self._task.groups:
+            if group.name in self._config.correction_groups:
+                part = dynamics.coordinates.part(group)
+                most[part] = self._config.correction_bound * dynamics.normaliser.delta_std[part]
+        return most.to(self._config.device)
 
     def solve(self, request: Request, prepared: Prepared) -> Solution:
         """Make one plan; the same request, model and history give the same plan on every machine."""
         if prepared is not self._prepared:
-            self._prepared = prepared
-            self._mpc.set_model(prepared.particles)
+            self._begin_model(prepared)
         if (request.plant_boot_id, request.episode) != self._episode:
             self._episode = (request.plant_boot_id, request.episode)
             self._mpc.reset()
+            if self._correction is not None:
+                self._correction.reset()
+        self._correct(request, prepared)
         device = self._config.device
         state = torch.from_numpy(request.state.copy()).to(device)
         plan = self._mpc.plan(
@@ -116,6 +135,25 @@ class Solver:
             valid=plan.valid,
             snapshot_id=prepared.snapshot_id,
         )
+
+    def _begin_model(self, prepared: Prepared) -> None:
+        self._prepared = prepared
+        self._mpc.set_model(prepared.particles)
+        if self._config.correction > 0.0:
+            config = self._config
+            self._correction = Correction(config.correction, prepared.corrected, config.correction_pace)
+
+    def _correct(self, request: Request, prepared: Prepared) -> None:
+        """Hold the model's predictions against what has been executed since the last plan."""
+        if self._correction is None:
+            return
+        device = self._config.device
+        states, actions = (
+            torch.from_numpy(x).to(device) for x in (request.seen_states, request.seen_actions)
+        )
+        with torch.no_grad():
+            self._correction.observe(prepared.particles, states, actions)
+        self._mpc.set_model(self._correction.of(prepared.particles))
 
     def _generator(self, request: Request) -> torch.Generator:
         """Seeded by what is planned, not by what was planned before: late plans change no later one."""
