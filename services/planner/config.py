@@ -106,10 +106,10 @@ class PlannerConfig(Frozen):
         description="state groups that are corrected; names that the task lacks are skipped",
     )
     correction_bound: float = Field(
-        default=0.1, gt=0.0, description="error that a step counts for at most, in deviations of the change"
+        default=0.04, gt=0.0, description="error that a step counts for at most, in deviations of the change"
     )
     correction_pace: float = Field(
-        default=2.0, gt=0.0, description="how fast a step may be that counts, in such errors"
+        default=0.5, gt=0.0, description="how fast a step may be that counts, in such errors"
     )
 
     # Search over candidates.

@@ -76,7 +76,7 @@ class TinySolver:
     def prepare(self, payload):
         if payload == b"broken":
             raise ValueError("not a snapshot")
-        return Prepared(payload.decode(), None)
+        return Prepared(payload.decode(), None, None)
 
     def solve(self, request, prepared):
         if self.fails:
