@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from services.perception import record as recording_command
 from services.perception.frames import Frame, Refusal, Refused
 from services.perception.recording import Player, Recorder
 
@@ -109,3 +110,45 @@ def test_what_is_no_recording_is_named(tmp_path, content):
         (tmp_path / "camera.json").write_text(content)
     with pytest.raises(ValueError, match=r"camera\.json"):
         Player(tmp_path)
+
+
+def test_the_command_keeps_what_a_source_gives(tmp_path, capsys):
+    source = record(tmp_path / "source", [frame(1), frame(3), frame(2), frame(4), frame(5)])
+    kept = tmp_path / "kept"
+    assert recording_command.main([str(source), str(kept), "--frames", "3"]) == 0
+    assert all(same(a, b) for a, b in zip(play(kept), [frame(1), frame(3), frame(4)], strict=True))
+    said = capsys.readouterr()
+    assert said.out == f"{kept}: 3 frames, 1 refused: backwards\n"
+    assert "frame 2 was not captured after frame 3" in said.err
+
+
+def test_the_command_ends_with_its_source_and_says_what_it_cannot_use(tmp_path, capsys):
+    source = record(tmp_path / "source", [frame(1), frame(2)])
+    assert recording_command.main([str(source), str(tmp_path / "kept")]) == 0
+    assert len(play(tmp_path / "kept")) == 2
+    assert recording_command.main([str(source), str(tmp_path / "kept")]) == 2
+    assert "kept" in capsys.readouterr().err
+    assert recording_command.main([str(tmp_path / "nowhere.yaml"), str(tmp_path / "other")]) == 2
+    assert not (tmp_path / "other").exists()
+
+
+class Interrupted:
+    """A person presses Ctrl-C after two frames."""
+
+    def __init__(self):
+        self.left = [frame(1), frame(2)]
+
+    def read(self, timeout_s):
+        if not self.left:
+            raise KeyboardInterrupt
+        return self.left.pop(0)
+
+    def close(self):
+        pass
+
+
+def test_ctrl_c_ends_a_recording_that_plays(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(recording_command, "source_at", lambda path: Interrupted())
+    assert recording_command.main(["camera.yaml", str(tmp_path / "kept")]) == 0
+    assert "2 frames" in capsys.readouterr().out
+    assert len(play(tmp_path / "kept")) == 2
