@@ -63,9 +63,11 @@ def rows_of(directory: Path, unfinished: bool = False) -> list[Row]:
     done, wanted = trained_episodes(episodes), config["curriculum"]["episodes"]
     if done < wanted and not unfinished:
         raise Refused(f"{done} of {wanted} episodes; --unfinished takes it as it is")
-    if not any(row["mode"] == "evaluate" for row in episodes):
-        raise Refused("no evaluation")
-    return results_of(directory)
+    whole = config["curriculum"]["evaluate_goals"]
+    rows = [row for row in results_of(directory) if row["goals"] >= whole]
+    if not rows:
+        raise Refused("no complete evaluation")
+    return rows
 
 
 def differences(directory: Path, method: str) -> list[str]:
@@ -98,7 +100,7 @@ def _put(rows: Sequence[Row], results: Path) -> str:
     committed = json_lines(file)
     before = [row for row in committed if _run(row) == _run(rows[0])]
     if before and _extent(rows) < _extent(before):
-        raise Refused("the committed run of this task, label and seed has come further")
+        raise Refused(f"the committed run of this task, label and seed has come further; delete it in {file}")
     kept = [row for row in committed if _run(row) != _run(rows[0])]
     text = "".join(json.dumps(row) + "\n" for row in sorted([*kept, *rows], key=_order))
     file.write_text(text, encoding="utf-8")

@@ -71,7 +71,7 @@ def _headline_row(task: str, found: Mapping[str, Outcome], ceiling: Sequence[Row
         f"{len(ours.runs)}, {span(row['episode'] for row in ours.finals)}" if ours else NONE,
         f"{code(best.label)} {percent(best.success('success_paper'))}" if best else NONE,
         NONE if stated is None else f"{stated:.0%}",
-        f"{result_of(ceiling)['success_paper']['rate']:.0%}" if ceiling else NONE,
+        f"{result_of(ceiling)['success_paper']['rate']:.0%} of {len(ceiling)}" if ceiling else NONE,
     )
 
 

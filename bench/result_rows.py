@@ -60,7 +60,8 @@ def rows_of_run(directory: Path) -> list[Row]:
 def results_of(directory: Path) -> list[Row]:
     """All rows of a run: one for each evaluation and, if `bench.evaluate` had more goals, its final one."""
     rows, final = rows_of_run(directory), final_row(directory)
-    return [*rows, final] if final and final["goals"] > rows[-1]["goals"] else rows
+    of_curve = rows[-1]["goals"] if rows else 0
+    return [*rows, final] if final and final["goals"] > of_curve else rows
 
 
 def is_of_bench(directory: Path) -> bool:

@@ -30,7 +30,11 @@ def make_run(directory, episodes=2, seed=0, *, wanted=None, cell="reach", error_
     directory.mkdir(parents=True)
     (directory / "episodes.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
     (directory / "sessions.jsonl").write_text(json.dumps({"commit": "abc", "cores": 1}) + "\n")
-    config = {"cell": cell, "task": "reach", "curriculum": {"episodes": wanted or episodes}}
+    config = {
+        "cell": cell,
+        "task": "reach",
+        "curriculum": {"episodes": wanted or episodes, "evaluate_goals": 1},
+    }
     (directory / "config.yaml").write_text(json.dumps(config))
     return directory
 
@@ -104,8 +108,13 @@ def test_a_run_that_is_not_its_method_is_told_unless_it_has_a_name_of_its_own(tm
 
 
 def test_an_unfinished_run_is_taken_when_asked_for(tmp_path):
-    collect([make_run(tmp_path / "run", wanted=9)], True, tmp_path)
+    run = make_run(tmp_path / "run", wanted=9)
+    collect([run], True, tmp_path)
     assert summary(tmp_path)[-1] == ("sac", "sac", 0, 2, 1)
+    config = json.loads((run / "config.yaml").read_text())
+    config["curriculum"]["evaluate_goals"] = 2  # the evaluation is going on
+    (run / "config.yaml").write_text(json.dumps(config))
+    assert collect([run], True, tmp_path) == [f"{run}: not collected: no complete evaluation"]
 
 
 def test_a_long_evaluation_is_compared_with_the_ceiling_on_the_goals_that_it_knows(tmp_path):
