@@ -73,7 +73,10 @@ class PoseBackend(Protocol):
         ...
 
     def track(self, frame: Frame) -> PoseEstimate | Unseen:
-        """The pose in this frame from the one before; Unseen before `adopt` and after a loss."""
+        """The pose in this frame from the one before.
+
+        Unseen before `adopt`, after a loss, and while nothing says which faces are seen.
+        """
         ...
 
     def reset(self) -> None:
