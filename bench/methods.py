@@ -53,6 +53,9 @@ _WITHOUT_OURS = (
     "learner.loss.beta_nll=0",
     "planner.stray_weight=0",
     "planner.sink_weight=0",
+    "planner.correction=0",
+    "planner.tail_steps=0",
+    "learner.loss.target_bound=0",
 )
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
@@ -96,6 +99,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "one_step": Method("Eq. (4) without term 2", ("learner.loss.second_step=false",)),
         "no_smoothing": Method("Eq. (5) without the smoothing term", ("planner.smooth_weight=0",)),
         "printed_smoothing": Method("Eq. (5) with the printed sign", ("planner.smooth_sign=printed",)),
+        "no_correction": Method("predictions as the model makes them", ("planner.correction=0",)),
         "no_dropout": Method("no Dropout particles", ("model.dropout=0", "planner.masks=1")),
         "synchronous": Method("textbook MPC: the plant waits for each plan", ("control.synchronous=true",)),
         "x4": Method(

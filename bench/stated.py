@@ -34,6 +34,7 @@ ABLATIONS = (
     "no_penalty",
     "one_step",
     "no_smoothing",
+    "no_correction",
     "printed_smoothing",
     "no_dropout",
     "synchronous",
