@@ -15,6 +15,7 @@ from common.service import Job, Output, Publish, Report
 from common.task import Task
 from common.topics import CHUNK, METRICS, SNAPSHOT, STEP
 from services.planner.config import PlannerConfig
+from services.planner.executed import Executed
 from services.planner.mpc import steps_per_plan
 from services.planner.solver import Prepared, Request, Solution, Solver, held_noise
 
@@ -22,7 +23,6 @@ SOLVE_WINDOW = 200
 RETRY_NS = 500_000_000  # after a plan that failed
 DIVERGED_SCORE = -1e30  # stands for the -inf of a plan of which every candidate diverged
 SNAPSHOT_NS = 2_000_000_000  # how long a snapshot may be on its way
-SEEN_STEPS = 50  # executed steps kept for the next request
 AUTO_PLANS = 20  # measured before x = auto goes by them: the first ones are slow
 AUTO_MARGIN_MS = 3.0  # for the way to the plant and back
 AUTO_QUANTILE = 0.95  # x = auto is set by the solve time that 95 % of the plans stay below
@@ -37,9 +37,7 @@ class _Progress:
     answered_seq: int = -1  # of the newest step when the newest chunk was sent
     x: int = 1
     noise: Float32 | None = None
-    newest_k: int = -1
-    states: list[Float32] = field(default_factory=list[Float32])  # those of the steps since the last request
-    actions: list[Float32] = field(default_factory=list[Float32])  # between them
+    executed: Executed = field(default_factory=Executed)
 
 
 class PlannerService:
@@ -214,8 +212,9 @@ class PlannerService:
         if step.mode not in (Mode.PLAN, Mode.EVALUATE) or step.last:
             return False
         self._follow(header, step)
-        self._see(header, step)
-        if not (header.valid and step.part_valid.all()):
+        measured = bool(header.valid and step.part_valid.all())
+        self._progress.executed.add(step.k, step.prev_action, step.state if measured else None)
+        if not measured:
             self._counts["invalid_states"] += 1
             return False
         # A plant that stands still can wait for the newest model.
@@ -243,27 +242,6 @@ class PlannerService:
         held = step.fallback in (Fallback.HOLD, Fallback.RELAX)
         self._mirror.follow(step.k, step.prev_action, held)
 
-    def _see(self, header: Header, step: Step) -> None:
-        """Collect the steps executed since the last request; a gap, or what was not measured, begins anew."""
-        seen = self._progress
-        if step.k == seen.newest_k:
-            return
-        measured = header.valid and step.part_valid.all()
-        if step.k != seen.newest_k + 1 or not measured or len(seen.actions) >= SEEN_STEPS:
-            seen.states, seen.actions = [], []
-        seen.newest_k = step.k
-        if measured:
-            if seen.states:
-                seen.actions.append(step.prev_action)
-            seen.states.append(step.state)
-
-    def _take_seen(self) -> tuple[Float32, Float32]:
-        """What has been collected: states (T + 1, S) and actions (T, A); the newest state stays for later."""
-        seen = self._progress
-        states, actions = np.array(seen.states), np.array(seen.actions).reshape(-1, self._task.action_dim)
-        seen.states, seen.actions = seen.states[-1:], []
-        return states, actions.astype(np.float32)
-
     def _request(self, header: Header, step: Step) -> Request | None:
         """Decide what to plan from this step, if anything: every x steps, or once the planner is free."""
         x = self._progress.x
@@ -274,7 +252,7 @@ class PlannerService:
         already = self._control.synchronous and not step.waiting
         if not due or already or first_k >= step.steps:
             return None
-        seen_states, seen_actions = self._take_seen()
+        seen_states, seen_actions = self._progress.executed.take()
         return Request(
             plant_boot_id=header.boot_id,
             episode=step.episode,

@@ -279,23 +279,3 @@ def test_the_newest_step_wins_within_one_turn():
     planner.turn()
     assert asked(planner) == [(3, 5, 2)]
     assert planner.requests[0].state[0] == np.float32(0.3)
-
-
-def test_a_request_tells_what_was_executed_since_the_last_one():
-    planner = Planner()
-
-    def seen(k, **changes):
-        action, state = np.full(A, k / 100, np.float32), np.full(S, k, np.float32)
-        planner.show(STEP, step(k, state=state, prev_action=action, **changes))
-
-    seen(0, waiting=True)
-    planner.work()
-    for k in (0, 1, 2, 3, 5, 6, 7):
-        seen(k)
-        while planner.queue:
-            planner.work()
-    told = [
-        (r.source_k, r.seen_states[:, 0].tolist(), (100 * r.seen_actions[:, 0]).round().tolist())
-        for r in planner.requests
-    ]
-    assert told == [(0, [0], []), (0, [0], []), (2, [0, 1, 2], [1, 2]), (5, [5], []), (7, [5, 6, 7], [6, 7])]
