@@ -32,7 +32,7 @@ from services.perception.reach import Reach
 from services.perception.screen import Screen
 from services.perception.status import Said, Status
 from services.perception.told import object_pose, tracking
-from services.perception.worker import Answer, Look, PoseWorker
+from services.perception.worker import Look, PoseWorker
 
 NS_PER_S, NS_PER_MS = 1e9, 1e6
 PERIOD_NS = 50_000_000
@@ -62,7 +62,7 @@ class PerceptionService:
         self._filter = PoseFilter(config.filter)
         self._reach = Reach(config.reach, T_palm_camera)
         self._counts = Counts()
-        self._search = 0  # number of the present one; answers to earlier ones are not taken
+        self._search = 0  # number of the present one; answers and failures of earlier ones are not taken
         self._tracking: Frame | None = None  # by the backend at the moment
         self._waiting: Frame | None = None  # the newest fit picture that came meanwhile
         self._registering = False
@@ -128,22 +128,30 @@ class PerceptionService:
     def _take_result(self, now_ns: int, result: JobResult) -> list[Output]:
         if result.name == "look":
             return self._take_look(now_ns, result)
+        what, search = result.name.split()
         frame = None
-        if result.name == "track":
+        if what == "track":
             frame, self._tracking = self._tracking, None
-        elif result.name == "register":
+        elif what == "register":
             self._registering = False
             self._search_ns = now_ns + round(self._config.search_pause_s * NS_PER_S)
+        present = int(search) == self._search
         if result.error:
-            self._counts.add("failed_jobs")
-            self._status.trouble(f"{result.name} failed: {result.error}")
-            return self._forget()
-        if not isinstance(result.value, Answer) or result.value.search != self._search:
+            return self._take_failure(what, present, result.error)
+        if not present or not isinstance(result.value, (PoseEstimate, Unseen)):
             return []
-        if result.name == "register":
-            return self._take_registered(result.value.result)
+        if what == "register":
+            return self._take_registered(result.value)
         assert frame is not None
-        return self._take_tracked(now_ns, frame, result.value.result, result.duration_ns / NS_PER_MS)
+        return self._take_tracked(now_ns, frame, result.value, result.duration_ns / NS_PER_MS)
+
+    def _take_failure(self, what: str, present: bool, error: str) -> list[Output]:
+        """Begin anew, unless nobody waits for what has failed."""
+        self._counts.add("failed_jobs")
+        if not present or (what == "register" and not self._searches()):
+            return []
+        self._status.trouble(f"{what} failed: {error}")
+        return self._forget()
 
     def _take_registered(self, result: PoseEstimate | Unseen) -> list[Output]:
         self._counts.add("searches")
@@ -151,7 +159,7 @@ class PerceptionService:
             self._status.searched(result)
             return []
         self._counts.add("found")
-        return [Job("adopt", self._worker.adopt, (result,), lane="track")]
+        return [self._job("adopt", self._worker.adopt, result)]
 
     def _take_tracked(
         self, now_ns: int, frame: Frame, result: PoseEstimate | Unseen, solve_ms: float
@@ -214,13 +222,23 @@ class PerceptionService:
         out: list[Output] = []
         if self._tracking is None:
             self._tracking, self._waiting = frame, None
-            latency_ns = round(self._config.declared_track_ms * NS_PER_MS)
-            out.append(Job("track", self._worker.track, (self._search, frame), latency_ns, "track"))
+            out.append(self._job("track", self._worker.track, frame, self._config.declared_track_ms))
         if not self._registering and self._searches() and now_ns >= self._search_ns:
             self._registering = True
-            latency_ns = round(self._config.declared_register_ms * NS_PER_MS)
-            out.append(Job("register", self._worker.register, (self._search, frame), latency_ns, "register"))
+            declared_ms = self._config.declared_register_ms
+            out.append(self._job("register", self._worker.register, frame, declared_ms, "register"))
         return out
+
+    def _job(
+        self,
+        what: str,
+        function: Callable[..., object],
+        on: Frame | PoseEstimate,
+        declared_ms: float = 0.0,
+        lane: str = "track",
+    ) -> Job:
+        """A job of the present search, whose number its name carries."""
+        return Job(f"{what} {self._search}", function, (on,), round(declared_ms * NS_PER_MS), lane)
 
     def _searches(self) -> bool:
         return self._status.state in (PoseState.SEARCHING, PoseState.LOST)
@@ -230,7 +248,7 @@ class PerceptionService:
         self._search += 1
         self._search_ns = 0
         self._filter.reset()
-        return [Job("reset", self._worker.reset, lane="track")]
+        return [Job(f"reset {self._search}", self._worker.reset, lane="track")]
 
     def _reset(self, reason: str) -> list[Output]:
         self._counts.add("resets")

@@ -24,14 +24,6 @@ SWAPPED = "red and blue are swapped: the camera sends BGR where RGB is wanted"
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What a backend said of a frame; `search` numbers the searches, so that an old one's answer is known."""
-
-    search: int
-    result: PoseEstimate | Unseen
-
-
-@dataclass(frozen=True)
 class Look:
     """What a look at a picture as such tells."""
 
@@ -47,16 +39,14 @@ class PoseWorker:
     def __init__(self, backend: PoseBackend, segment: Segment, die: Die, tag: PalmTag | None) -> None:
         self._backend, self._segment, self._die, self._tag = backend, segment, die, tag
 
-    def track(self, search: int, frame: Frame) -> Answer:
+    def track(self, frame: Frame) -> PoseEstimate | Unseen:
         """Follow the die into a frame."""
-        return Answer(search, self._backend.track(frame))
+        return self._backend.track(frame)
 
-    def register(self, search: int, frame: Frame) -> Answer:
+    def register(self, frame: Frame) -> PoseEstimate | Unseen:
         """Find the die where it may be."""
         mask = self._segment(frame)
-        return Answer(
-            search, _unseen(frame, mask) if isinstance(mask, str) else self._backend.register(frame, mask)
-        )
+        return _unseen(frame, mask) if isinstance(mask, str) else self._backend.register(frame, mask)
 
     def adopt(self, found: PoseEstimate) -> None:
         """Follow the die from what `register` found."""

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from common import geometry
+from common.bus import JobResult
 from common.camera_messages import PoseState
 from services.perception import rigid
 from services.perception.backend import PoseEstimate, Quality, Unseen
@@ -157,18 +158,44 @@ def test_an_answer_to_an_earlier_search_is_not_taken():
     driven.now_ns += FRAME_NS
     driven.work, real_work = (lambda: None), driven.work
     driven.see(None)  # the backend is at work on it
-    assert [job.name for job in driven.jobs] == ["track"]
+    assert [job.name for job in driven.jobs] == ["track 0"]
     driven.reset()
     driven.work = real_work
     driven.work()
     assert not driven.poses and driven.said.state == "searching"
 
 
+@pytest.mark.parametrize("reset", [True, False])
+def test_a_search_that_fails_late_throws_nothing_away(reset):
+    """Begun, and then out of date: by a reset and a new search, or as the backend saw the die by itself."""
+    backend = ScriptedBackend(pose=None)
+    driven = DrivenPerception(backend, search_pause_s=0.0)
+    driven.see()
+    driven.work, real_work = (lambda: None), driven.work
+    driven.see()
+    assert [job.name.split()[0] for job in driven.jobs] == ["track", "register"]
+    late = driven.jobs.pop()
+    driven.work = real_work
+    backend.pose, backend.adopted = HELD, True
+    if reset:
+        driven.reset()
+        backend.adopted = True
+    for _ in range(3):
+        driven.see()
+    assert driven.said.state == "tracking"
+    backend.calls.clear()
+    driven.inbox.finish(JobResult(late.name, None, "RuntimeError: out of memory", 5_000_000))
+    driven.turn()
+    driven.work()
+    assert driven.see().state == "tracking" and driven.poses[-1].header.valid
+    assert "reset" not in backend.calls and driven.fields["failed_jobs"] == 1
+
+
 def test_pictures_that_come_while_the_backend_works_wait_one_at_a_time():
     driven = DrivenPerception(ScriptedBackend()).tracked()
     driven.work, real_work = (lambda: None), driven.work
     driven.see(), driven.see(), driven.see()
-    assert [job.name for job in driven.jobs] == ["track"]
+    assert [job.name for job in driven.jobs] == ["track 0"]
     driven.work = real_work
     driven.work()
     assert [sample.header.t_ns for sample in driven.poses][-1] == driven.now_ns - LATENCY_NS
