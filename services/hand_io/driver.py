@@ -19,7 +19,7 @@ from common.dexhand021.config import DexHandConfig
 from common.dexhand021.frames import Reason, Refusal
 from common.dexhand021.replies import Reply
 from common.dexhand021.tables import BOARDS
-from common.hand_messages import HandCommand, HandFrame, Link
+from common.hand_messages import Drive, HandCommand, HandFrame, Link
 from common.messages import Message
 from common.topics import HAND_FRAME, Topic
 from services.hand_io.boards import Boards
@@ -69,6 +69,7 @@ class HandPort:
         self._state = Link.DOWN
         self._reopen_ns = 0  # when a lost bus is opened again
         self._pause_ns = _ns(config.reopen_s)
+        self._lost = False  # and nobody has taken note of it yet
         self._busy = 0  # cycles in a row
         self._sent_ns = 0
         self._waiting: set[int] = set()  # boards that have not answered the present cycle
@@ -85,10 +86,19 @@ class HandPort:
         self._thread.start()
 
     def write(self, message: Message) -> None:
-        """Take over a command; it takes effect with the next frame sent."""
+        """Take over a command; it takes effect with the next frame sent.
+
+        Without a bus, and after a loss until its sender has answered that with OFF, everything else is
+        refused: it was meant for the time before.
+        """
         if not isinstance(message, HandCommand):
             raise TypeError(f"the hand takes HandCommand, got {type(message).__name__}")
         with self._lock:
+            if message.drive is Drive.OFF:
+                self._lost = False
+            elif self._link is None or self._lost:
+                self._counts["refused_commands"] += 1
+                return
             self._points.command(self._clock.now_ns(), message, self._boards.sensed())
 
     def close(self) -> None:
@@ -200,7 +210,7 @@ class HandPort:
         with self._lock:
             if self._link is not link:
                 return
-            self._link, self._state, self.last_error = None, state, why
+            self._link, self._state, self.last_error, self._lost = None, state, why, True
             self._reopen_ns = max(self._reopen_ns, self._clock.now_ns() + _ns(self._config.reopen_s))
             self._counts[state.value] += 1
             self._points.release()  # when the bus is back, a person decides whether the hand moves

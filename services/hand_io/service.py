@@ -12,7 +12,7 @@ from common.bus import Inbox, Input
 from common.demonstrations import Demonstrations
 from common.dexhand021.angles import to_normalised
 from common.executor import Executed
-from common.hand_messages import Drive, HandCommand, HandFrame, HandJoints, ObjectPose
+from common.hand_messages import Drive, HandCommand, HandFrame, HandJoints, Link, ObjectPose
 from common.messages import Episode, Fallback, Float32, Header
 from common.plant_loop import ACTIVE, Phase, PlantLoop, Seen
 from common.service import Output, Publish, Report, ToPort
@@ -223,6 +223,8 @@ class HandIoService:
             self._taken = None
         if now is State.FAULT:
             return [_order(OFF)]
+        if now is State.HOLD and (self._frame is None or self._frame.link is not Link.UP):
+            return [_order(OFF)]  # whatever is still on its way: when the bus is back nothing may move
         powered = self._frame is not None and self._frame.drive is not Drive.OFF
         wanted = powered if now is State.HOLD else before is State.HOLD
         return [_order(STAY)] if wanted else []

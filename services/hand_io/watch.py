@@ -10,23 +10,25 @@ from common.hand_messages import HandFrame, Link
 from services.hand_io.arming import Condition
 
 DRIVER_SILENT_NS = 1_000_000_000
+LOST = "the bus was lost"
+EVENTS = {"starts": "a board has restarted", "down": LOST, "bus_off": LOST}  # by the driver's count
 
 
 class Watch:
-    """Remembers what a frame alone does not tell: whether a board has restarted since the last one."""
+    """Remembers what a frame alone does not tell: what has happened since the last one."""
 
     def __init__(self, silent_ms: float) -> None:
         self._silent_ms = silent_ms
-        self._starts = -1.0
+        self._seen: dict[str, float] = {}
 
     def judge(self, now_ns: int, frame: HandFrame | None) -> Condition:
         """Everything that keeps the hand from running."""
         if frame is None:
             return Condition(troubles=("the driver has said nothing yet",))
-        restarted = self._restarted(frame)
+        happened = self._happened(frame)
         if frame.link is Link.DOWN:  # without which the boards are silent, too
             return Condition(faults(frame), (f"no bus: {frame.error}" if frame.error else "no bus",))
-        return Condition(faults(frame), (*self._silent(now_ns, frame), *restarted))
+        return Condition(faults(frame), (*self._silent(now_ns, frame), *happened))
 
     def _silent(self, now_ns: int, frame: HandFrame) -> list[str]:
         if now_ns - frame.t_ns > DRIVER_SILENT_NS:
@@ -36,11 +38,10 @@ class Watch:
         ]
         return [f"silent: {' '.join(silent)}"] if silent else []
 
-    def _restarted(self, frame: HandFrame) -> list[str]:
-        starts = frame.counts.get("starts", 0.0)
-        restarted = 0.0 <= self._starts < starts
-        self._starts = starts
-        return ["a board has restarted"] if restarted else []
+    def _happened(self, frame: HandFrame) -> list[str]:
+        now = {name: frame.counts.get(name, 0.0) for name in EVENTS}
+        before, self._seen = self._seen or now, now
+        return list(dict.fromkeys(words for name, words in EVENTS.items() if before[name] < now[name]))
 
 
 def faults(frame: HandFrame) -> tuple[str, ...]:

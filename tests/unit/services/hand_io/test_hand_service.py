@@ -110,7 +110,7 @@ def running(**control):
     [
         ({"link": Link.BUS_OFF}, "fault: bus off", Drive.OFF),
         ({"overheated": np.eye(6, dtype=np.uint8)[2]}, "fault: too hot: index", Drive.OFF),
-        ({"link": Link.DOWN, "error": "no such device"}, "hold: no bus: no such device", Drive.HOLD),
+        ({"link": Link.DOWN, "error": "no such device"}, "hold: no bus: no such device", Drive.OFF),
         ({"age_ms": np.full(6, 1500, np.float32)}, "hold: silent: thumb palm index", Drive.HOLD),
         ({"counts": {"starts": 1.0}}, "hold: a board has restarted", Drive.HOLD),
     ],
