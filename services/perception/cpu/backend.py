@@ -57,9 +57,10 @@ class CpuBackend:
 
     def _before(self, frame: Frame) -> Before | None:
         """Where the die was when it was last followed."""
-        if self._seen is None:
+        seen = self._seen  # read once: the other thread may forget it meanwhile
+        if seen is None:
             return None
-        pose, t_ns = self._seen
+        pose, t_ns = seen
         since_s = max(0.0, (frame.t_ns - t_ns) / 1e9)
         return Before(pose, self._gate.turn_rad + self._gate.turn_rad_s * since_s)
 

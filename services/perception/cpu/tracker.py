@@ -31,7 +31,8 @@ class Tracker:
     def __init__(self, die: Die, tuning: Tuning | None = None) -> None:
         self._tuning = tuning or Tuning()
         self._surface = surface_of(die)
-        self._colours: ColourModel = colours_of(die)
+        self._paint = colours_of(die)
+        self._colours: ColourModel = self._paint
         self._motion: Motion | None = None
         self._posterior = np.full(LABELS, 1.0 / LABELS)
         self._frames = 0
@@ -47,18 +48,14 @@ class Tracker:
         """Posterior (24,) of the labellings of the last pose."""
         return self._posterior
 
-    @property
-    def last(self) -> Pose | None:
-        """The last pose."""
-        return self._motion.pose if self._motion else None
-
     def start(self, pose: Pose, t_ns: int, posterior: Float64) -> None:
         """Follow the die from a pose seen at a time."""
         self._motion, self._posterior, self._frames = Motion(pose, t_ns), posterior, 0
 
     def forget(self) -> None:
-        """Follow nothing; the die's colours as seen so far stay."""
+        """Follow nothing; of colours only the die's paint is known again."""
         self._motion, self._posterior = None, np.full(LABELS, 1.0 / LABELS)
+        self._colours = self._paint
 
     def step(self, frame: Frame, thorough: bool = True) -> Fit | None:
         """Find the die near where it should be by now; None when it left the picture or was never there.

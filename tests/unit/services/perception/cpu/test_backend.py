@@ -125,6 +125,32 @@ def test_reset_forgets(following):
     assert answer.state is PoseState.SEARCHING
 
 
+def test_reset_forgets_what_was_learned_too(following):
+    """A search afterwards is that of a backend which has never seen a picture."""
+    following.reset()
+    found, first = following.register(FILM[4][0]), CpuBackend(DIE).register(FILM[4][0])
+    assert np.array_equal(found.T_camera_die, first.T_camera_die)
+    assert np.array_equal(found.covariance, first.covariance)
+
+
+def test_a_reset_while_a_search_begins_does_no_harm(following):
+    """The other thread forgets the die just after this one has seen that it is known."""
+
+    class Interrupted(CpuBackend):
+        @property
+        def _seen(self):
+            known, self.known = self.known, None
+            return known
+
+        @_seen.setter
+        def _seen(self, value):
+            self.known = value
+
+    backend = Interrupted(DIE)
+    backend._seen = following._seen
+    assert isinstance(backend.register(FILM[4][0]), PoseEstimate)
+
+
 def test_nothing_is_found_where_no_die_is():
     away = transform((0.0, 0.0, -1.0), (1.0, 0.0, 0.0), 0.0)
     frame = photograph(away, [Ball((0.0, 0.02, 0.4), 0.03)], rng=np.random.default_rng(0))
