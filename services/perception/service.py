@@ -116,11 +116,11 @@ class PerceptionService:
             )
         except ValueError as error:
             self._counts.add("refused_invalid")
-            self._status.refused(f"picture refused: {error}")
+            self._status.refused(now_ns, f"picture refused: {error}")
             return
         wrong = self._screen.judge(now_ns, frame)
         if wrong:
-            self._status.refused(wrong)
+            self._status.refused(now_ns, wrong)
             return
         self._status.fit(now_ns)
         self._waiting = frame

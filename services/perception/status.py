@@ -42,6 +42,7 @@ class Status:
         self._result = Said(PoseState.SEARCHING, NO_PICTURE)
         self._fit_ns: int | None = None  # when the newest fit picture came
         self._refused = ""  # why the newest picture was not fit
+        self._came_ns: int | None = None  # when the newest picture came, fit or not
         self._warning = ""
 
     @property
@@ -53,11 +54,12 @@ class Status:
         """A fit picture came."""
         if self._fit_ns is None and self._result.message == NO_PICTURE:
             self._result = Said(PoseState.SEARCHING, "")
-        self._fit_ns, self._refused = now_ns, ""
+        self._fit_ns = self._came_ns = now_ns
+        self._refused = ""
 
-    def refused(self, message: str) -> None:
+    def refused(self, now_ns: int, message: str) -> None:
         """A picture came that is not fit."""
-        self._refused = message
+        self._came_ns, self._refused = now_ns, message
 
     def found(self, estimate: PoseEstimate, doubt: str) -> None:
         """A pose was found; `doubt` says why it is not to be believed although its backend believes it."""
@@ -99,12 +101,21 @@ class Status:
 
     def now(self, now_ns: int) -> Said:
         """State and message at a time."""
+        why = self._silence(now_ns)
         if self._fit_ns is None:
-            return Said(PoseState.SEARCHING, self._refused or NO_PICTURE)
+            return Said(PoseState.SEARCHING, why)
         age_ns = now_ns - self._fit_ns
         if age_ns < self._suspect_ns:
             return Said(self._result.state, self._warning or self._result.message)
-        why = self._refused or f"no picture for {age_ns / NS_PER_S:.1f} s: is the camera unplugged?"
         if self._result.state not in (PoseState.TRACKING, PoseState.SUSPECT):
             return Said(self._result.state, why)
         return Said(PoseState.LOST if age_ns >= self._lost_ns else PoseState.SUSPECT, why)
+
+    def _silence(self, now_ns: int) -> str:
+        """Why there is no fit picture: what is wrong with those that come, or that none comes."""
+        if self._came_ns is None:
+            return NO_PICTURE
+        age_ns = now_ns - self._came_ns
+        if self._refused and age_ns < self._suspect_ns:
+            return self._refused
+        return f"no picture for {age_ns / NS_PER_S:.1f} s: is the camera unplugged?"

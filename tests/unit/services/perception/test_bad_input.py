@@ -72,6 +72,17 @@ def test_pictures_that_are_unfit_are_refused_counted_and_end_in_lost(change, fau
     assert driven.said.state == "tracking" and driven.poses[-1].header.valid
 
 
+@pytest.mark.parametrize("followed, state", [(True, "lost"), (False, "searching")])
+def test_a_refused_picture_does_not_hide_the_silence_after_it(followed, state):
+    driven = DrivenPerception().tracked() if followed else DrivenPerception()
+    driven.wait(0.5)
+    fed(driven, torn, 1)
+    driven.wait(1.5)
+    assert driven.said.state == state
+    assert driven.said.message.startswith("no picture for 1.")
+    assert driven.said.message.endswith("is the camera unplugged?")
+
+
 def test_time_that_runs_backwards_is_refused():
     driven = DrivenPerception().tracked()
     said = fed(driven, from_yesterday, 40)
