@@ -41,7 +41,7 @@ class FilterConfig(Frozen):
     confirm: int = Field(
         default=4, ge=2, description="outliers in a row that agree with each other are the new truth"
     )
-    max_gap_s: float = Field(default=0.3, gt=0.0, description="after a longer one nothing is predicted")
+    max_gap_s: float = Field(default=0.3, gt=0.0, description="after a longer one it starts anew")
 
 
 class Verdict(StrEnum):
@@ -77,20 +77,9 @@ class PoseFilter:
         self._rival: PoseFilter | None = None  # follows outliers, in case they are right
         self._rivals = 0  # outliers in a row that agree
 
-    @property
-    def velocity(self) -> Float64:
-        """Velocity (6,): m/s, then rad/s."""
-        return self._velocity.copy()
-
     def reset(self) -> None:
         """Forget everything."""
         self._pose, self._rival, self._rivals = None, None, 0
-
-    def predict(self, t_ns: int) -> Measured | None:
-        """The pose expected at `t_ns`; None without one, for a time before it, or after too long a gap."""
-        if self._pose is None or not 0 <= t_ns - self._pose.t_ns <= self._config.max_gap_s * NS_PER_S:
-            return None
-        return self._predicted(self._pose, t_ns)[0]
 
     def update(self, measured: Measured) -> Verdict:
         """Take a pose that was claimed to be good."""

@@ -32,6 +32,8 @@ Judge = Callable[[Frame, Float64], PoseEstimate]
 class FoundationPoseBackend:
     """Registers once, then tracks; a new process has forgotten everything, and is searched with anew.
 
+    The process ends with this one: its pipe does then, and the supervisor stops the whole process group.
+
     `judge` makes an estimate of a frame and a pose (4, 4): quality, labels, covariance, and its state.
     """
 
@@ -83,10 +85,6 @@ class FoundationPoseBackend:
     def reset(self) -> None:
         """Forget the die; the process keeps its weights."""
         self._state, self._bad = PoseState.SEARCHING, 0
-
-    def close(self) -> None:
-        """End the process."""
-        self._process.close()
 
     def _ask(self, what: str, arrays: Arrays, timeout_s: float) -> Float64:
         reply = self._process.ask({"do": what}, arrays, timeout_s)

@@ -1,6 +1,7 @@
 """The FoundationPose adapter against a process that has the library's signatures and its documented traps."""
 
 import json
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 
 from common.camera_messages import PoseState
 from common.die import DIE
-from services.perception import rigid
+from services.perception import foundationpose_worker, rigid
 from services.perception.backend import PoseEstimate, Quality, Unseen
 from services.perception.config import FoundationPoseConfig
 from services.perception.foreign import ForeignError, ForeignProcess
@@ -42,7 +43,7 @@ def process(tmp_path_factory):
     folder = tmp_path_factory.mktemp("foundationpose")
     backend = FoundationPoseBackend(CONFIG, DIE, judge, folder)
     yield backend, folder
-    backend.close()
+    backend._process.close()
 
 
 @pytest.fixture
@@ -153,7 +154,16 @@ def test_a_missing_checkout_is_named(tmp_path):
     backend = FoundationPoseBackend(config, DIE, judge, tmp_path)
     with pytest.raises(ForeignError, match="open: ModuleNotFoundError: No module named 'nvdiffrast'"):
         backend.register(frame(HELD))
-    backend.close()
+    backend._process.close()
+
+
+def test_it_ends_with_the_pipe_of_whoever_asked_it():
+    worker = [sys.executable, foundationpose_worker.__file__, str(FAKE)]
+    process = subprocess.Popen(worker, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+    with process:
+        assert process.poll() is None
+        process.stdin.close()
+        assert process.wait(30) == 0
 
 
 def test_last_words_are_quoted(tmp_path):
