@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 
@@ -22,18 +22,19 @@ class Check:
         return f"{'ok  ' if self.ok else 'FAIL'}  {self.about:24}{self.found}{advice}"
 
 
-def print_checks(
-    parser: argparse.ArgumentParser,
-    default_cell: str,
-    checks: Callable[[str, list[str]], Iterable[Check]],
-    argv: list[str] | None,
-) -> int:
-    """Read cell and overrides from `argv`, print one line per check of them; 1 if any failed."""
+def read_options(
+    parser: argparse.ArgumentParser, default_cell: str, argv: list[str] | None
+) -> argparse.Namespace:
+    """Read `cell` and `overrides` from `argv`, beside what `parser` has of its own."""
     parser.add_argument("cell", nargs="?", default=default_cell, help="a file, or a name in deploy/cells")
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="a.b=c")
-    options = parser.parse_args(argv)
+    return parser.parse_args(argv)
+
+
+def print_checks(checks: Iterable[Check]) -> int:
+    """Print one line per check; 1 if any failed."""
     failed = False
-    for check in checks(options.cell, options.overrides):
+    for check in checks:
         print(check, flush=True)
         failed |= not check.ok
     return int(failed)

@@ -1,6 +1,6 @@
 """`python -m deploy.doctor [can] [CELL] [--set a.b=c]`: is a running cell (or its hand) in order?
 
-Changes nothing.
+Changes nothing; only `can --status` does, which takes all torque away (deploy/doctor_can.py).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from common.zenoh_bus import ZenohBus
 from common.zenoh_router import BusError
 from deploy import doctor_can
 from deploy.cell import ALL_LOCAL, Cell, instances_of, load_cell, on_this_machine
-from deploy.checks import Check, print_checks
+from deploy.checks import Check, print_checks, read_options
 from deploy.monitor import Heard, Monitor
 from deploy.processes import process_of
 
@@ -34,7 +34,8 @@ def main(argv: list[str] | None = None) -> int:
     if arguments[:1] == ["can"]:
         return doctor_can.main(arguments[1:])
     parser = argparse.ArgumentParser(prog="python -m deploy.doctor", description=__doc__)
-    return print_checks(parser, "reach", checks, arguments)
+    options = read_options(parser, "reach", arguments)
+    return print_checks(checks(options.cell, options.overrides))
 
 
 def checks(cell_name: str, overrides: list[str]) -> Iterator[Check]:

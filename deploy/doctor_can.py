@@ -1,7 +1,8 @@
-"""`python -m deploy.doctor can [CELL] [--set a.b=c]`: is the hand there? Sends questions only.
+"""`python -m deploy.doctor can [CELL] [--status] [--set a.b=c]`: is the hand there?
 
-Beside a running hand_io it just listens and reads memory. On a quiet bus it also sends one motion command
-that gives no motor torque, which is the only way to be told angles and temperatures.
+It listens and reads memory, which changes nothing. Only with --status, and only on a quiet bus, does it also
+send one motion command that gives no motor torque: that makes boards tell temperatures and errors, and a hand
+that still holds something lets go of it.
 """
 
 from __future__ import annotations
@@ -20,10 +21,17 @@ from common.config import ConfigError
 from common.dexhand021 import host
 from common.dexhand021.commands import BroadcastMotion, Command, MotorTarget, NvmRead
 from common.dexhand021.frames import Refusal
-from common.dexhand021.replies import BoardFeedback, ErrorReport, NvmReply, OverTemperature, Reply
+from common.dexhand021.replies import (
+    BoardFeedback,
+    ErrorReport,
+    MotorFlag,
+    NvmReply,
+    OverTemperature,
+    Reply,
+)
 from common.dexhand021.tables import BOARDS, MOTORS, ControlMode, Hand, NvmAddress, board_id, hand_and_board
 from deploy.cell import Cell, load_cell
-from deploy.checks import Check, print_checks
+from deploy.checks import Check, print_checks, read_options
 
 LISTEN_S, ANSWER_S, PINGS = 0.5, 0.1, 5
 ROUND_TRIP_LIMIT_MS = 10.0
@@ -32,17 +40,25 @@ WHERE = {
     False: "power, cable, and left or right hand in the cell?",
 }
 HANDS = "name a cell with plant: twin or hand, such as dexhand_twin"
+QUIET = "the bus is quiet, temperatures and errors unknown: --status asks, and takes all torque away"
 LINK_ADVICE = "ip link set {0} up type can bitrate {1} dbitrate {2} fd on restart-ms 100"
 
 
 def main(argv: list[str] | None = None) -> int:
     """Print one line per check; 1 if any failed."""
     parser = argparse.ArgumentParser(prog="python -m deploy.doctor can", description=__doc__)
-    return print_checks(parser, "dexhand_twin", checks, argv)
+    parser.add_argument(
+        "--status", action="store_true", help="on a quiet bus have the boards report: ALL TORQUE GOES AWAY"
+    )
+    options = read_options(parser, "dexhand_twin", argv)
+    return print_checks(checks(options.cell, options.overrides, status=options.status))
 
 
-def checks(cell_name: str, overrides: list[str]) -> Iterator[Check]:
-    """Examine adapter, bit rates, boards; stops where nothing more can be seen."""
+def checks(cell_name: str, overrides: list[str], *, status: bool = False) -> Iterator[Check]:
+    """Examine adapter, bit rates, boards; stops where nothing more can be seen.
+
+    `status`: whether a hand that nobody drives may be sent what takes its torque away.
+    """
     try:
         cell = load_cell(cell_name, overrides)
     except ConfigError as error:
@@ -59,7 +75,7 @@ def checks(cell_name: str, overrides: list[str]) -> Iterator[Check]:
     try:
         yield Check(True, "adapter", f"{cell.can.interface} {cell.can.channel} opened for CAN FD")
         yield _bit_rates(cell)
-        yield from _hand(cell, link)
+        yield from _hand(cell, link, status)
     finally:
         link.close()
 
@@ -91,13 +107,14 @@ def _link_rates(channel: str) -> tuple[int, int] | None:
         return None
 
 
-def _hand(cell: Cell, link: CanLink) -> Iterator[Check]:
+def _hand(cell: Cell, link: CanLink, status: bool) -> Iterator[Check]:
     examiner = Examiner(cell, link)
     try:
         examiner.listen(LISTEN_S)
         driven = bool(examiner.statuses)
-        yield Check(True, "traffic", "hand_io is driving the hand" if driven else "the bus is quiet")
-        if not driven:
+        quiet = "the bus is quiet" if status else QUIET
+        yield Check(True, "traffic", "hand_io is driving the hand" if driven else quiet)
+        if status and not driven:
             examiner.ask_status()
         if examiner.others:
             other = "left" if cell.hand.hand is Hand.RIGHT else "right"
@@ -125,7 +142,8 @@ class Examiner:
         self._absent = WHERE[cell.can.simulated]
         self.others = 0  # status frames of the other hand
         self.statuses: dict[int, BoardFeedback] = {}
-        self.errors: dict[int, ErrorReport | OverTemperature] = {}
+        self._latched: dict[int, tuple[MotorFlag, MotorFlag]] = {}  # as told by error frames
+        self._hot: set[int] = set()
 
     def listen(self, seconds: float, board: int = 0, address: NvmAddress | None = None) -> NvmReply | None:
         """Hear replies until the wanted one, or for so long."""
@@ -145,8 +163,10 @@ class Examiner:
         if isinstance(reply, BoardFeedback):
             self.others += hand_and_board(reply.board)[0] is not self._hand.hand
             self.statuses[reply.board] = reply
-        elif isinstance(reply, ErrorReport | OverTemperature):
-            self.errors[reply.board] = reply
+        elif isinstance(reply, ErrorReport):
+            self._latched[reply.board] = _united(self._latched.get(reply.board), reply.flags)
+        elif isinstance(reply, OverTemperature):
+            self._hot.add(reply.board)
         return None if isinstance(reply, Refusal) else reply
 
     def ask_status(self) -> None:
@@ -194,9 +214,20 @@ class Examiner:
         return [f"{status.temperature_c} °C"] if status and status.temperature_c is not None else []
 
     def _ailments(self, identity: int) -> list[str]:
-        status, error = self.statuses.get(identity), self.errors.get(identity)
-        hot = status is not None and (status.temperature_c or 0) >= self._pause_c
-        flags = [flag.name or str(int(flag)) for flag in (status.errors or ()) if flag] if status else []
-        if isinstance(error, OverTemperature):
+        if identity in self._hot:
             return ["over-temperature"]
-        return (["too hot to run"] if hot else []) + ([f"latched {' '.join(flags)}"] if flags else [])
+        status = self.statuses.get(identity)
+        hot = status is not None and (status.temperature_c or 0) >= self._pause_c
+        # Short statuses carry no errors, and padding reads as none: an error frame counts all the same.
+        flags = _united(self._latched.get(identity), status.errors if status else None)
+        names = [flag.name or str(int(flag)) for flag in flags if flag]
+        names = names or ["an error without a code"] * (identity in self._latched)
+        return (["too hot to run"] if hot else []) + ([f"latched {' '.join(names)}"] if names else [])
+
+
+def _united(
+    one: tuple[MotorFlag, MotorFlag] | None, other: tuple[MotorFlag, MotorFlag] | None
+) -> tuple[MotorFlag, MotorFlag]:
+    none = (MotorFlag(0), MotorFlag(0))
+    first, second = one or none, other or none
+    return first[0] | second[0], first[1] | second[1]

@@ -10,8 +10,10 @@ from common.can_config import CanConfig
 from common.can_link import LinkError
 from common.config import ConfigError
 from common.dexhand021 import device
+from common.dexhand021.commands import BroadcastMotion, NvmRead
 from common.dexhand021.config import DexHandConfig
-from common.dexhand021.replies import BoardFeedback, MotorState
+from common.dexhand021.replies import BoardFeedback, ErrorReport, MotorFlag, MotorState, NvmReply
+from common.dexhand021.tables import ControlMode
 from common.hand_messages import ArmReply, ArmWish
 from common.task import get_task
 from deploy import arm, doctor, doctor_can
@@ -28,13 +30,14 @@ def emulated():
     """A function that starts a hand with faults and returns the lines about it."""
     ports = []
 
-    def examine(*faults, overrides=()):
+    def examine(*faults, overrides=(), status=True):
         number = free_port()
         config = EmulatorConfig(faults=tuple(Fault(for_s=60, **fault) for fault in faults))
         can = CanConfig(port=number)
         ports.append(EmulatorPort(can, DexHandConfig(), config, KinematicTwin(), get_task("die")))
         ports[-1].open(lambda _topic, _message: None)
-        return list(checks("dexhand_twin", [f"can.port={number}", *overrides])), ports[-1]
+        cell = [f"can.port={number}", *overrides]
+        return list(checks("dexhand_twin", cell, status=status)), ports[-1]
 
     yield examine
     for port in ports:
@@ -68,7 +71,7 @@ def test_the_other_hand_on_the_bus_is_named(emulated, monkeypatch):
     assert not port.hand.powered.any()
     cell = load_cell("dexhand_twin", ["hand.hand=left", "task=die_left"])
     frames = [device.encode(BoardFeedback(board, (MotorState(0, 0, 0, 0),) * 2), 16) for board in (7, 8)]
-    found = list(_hand(cell, Heard(frames)))
+    found = list(_hand(cell, Heard(frames), status=False))
     assert str(found[1]).startswith("FAIL  hand") and "boards of a right hand are heard" in found[1].found
 
 
@@ -77,15 +80,64 @@ class Heard:
 
     def __init__(self, frames):
         self._frames = frames
+        self.sent = []
 
-    def send(self, _frame):
-        pass
+    def send(self, frame):
+        self.sent.append(device.decode(frame))
 
     def receive(self, timeout_s):
         if self._frames:
             return self._frames.pop()
         time.sleep(timeout_s)
         return None
+
+
+def test_a_quiet_hand_may_be_holding_something_and_is_only_read(emulated, monkeypatch):
+    lines, _ = emulated(status=False)
+    assert "--status asks" in lines[2].found
+    assert "firmware 25418" in lines[3].found and "°C" not in lines[3].found.partition("powers")[0]
+    monkeypatch.setattr(doctor_can, "ANSWER_S", 0.001)
+    monkeypatch.setattr(doctor_can, "LISTEN_S", 0.01)
+    link = Heard([])
+    list(_hand(load_cell("dexhand_twin"), link, status=False))
+    assert {type(command) for command in link.sent} == {NvmRead}
+    list(_hand(load_cell("dexhand_twin"), link, status=True))
+    (motion,) = (command for command in link.sent if isinstance(command, BroadcastMotion))
+    assert motion.mode is ControlMode.ZERO_TORQUE and not any(motor.enabled for motor in motion.motors)
+
+
+class Reading(Heard):
+    """A link on which these frames are heard, and memory is answered."""
+
+    def send(self, frame):
+        super().send(frame)
+        command = self.sent[-1]
+        self._frames.append(device.encode(NvmReply(command.board, command.address, 7)))
+
+
+NONE, STALL, HALL = MotorFlag(0), MotorFlag.STALL, MotorFlag.HALL
+
+
+@pytest.mark.parametrize(
+    ("reports", "told", "found"),
+    [
+        ([], None, ""),
+        ([(STALL, NONE)], None, "latched STALL"),
+        ([(STALL, NONE)], (NONE, NONE), "latched STALL"),  # what a short status is padded with
+        ([(STALL, NONE), (NONE, HALL)], None, "latched STALL HALL"),
+        ([(STALL, NONE)], (NONE, HALL), "latched STALL HALL"),
+        ([(NONE, NONE)], None, "latched an error without a code"),
+    ],
+)
+def test_a_latched_error_fails_the_board_whoever_tells_of_it(reports, told, found, monkeypatch):
+    monkeypatch.setattr(doctor_can, "LISTEN_S", 0.01)
+    frames = [device.encode(ErrorReport(9, (bool(a or not b), bool(b)), (a, b), b"")) for a, b in reports]
+    state = (MotorState(0, 0, 0, 0),) * 2
+    status = BoardFeedback(9, state) if told is None else BoardFeedback(9, state, errors=told)
+    frames.append(device.encode(status, 16 if told is None else 48))
+    lines = list(_hand(load_cell("dexhand_twin"), Reading(frames), status=False))
+    assert [line.about for line in lines if not line.ok] == (["index (id 9)"] if found else [])
+    assert lines[3].found.endswith(found or "powers off at 7 °C")
 
 
 REAL = ("plant=hand", "pose_source=perception", "hand_io.auto_arm=false")
