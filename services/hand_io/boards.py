@@ -54,6 +54,7 @@ class Boards:
         self._status_flags = np.zeros(MOTORS, np.int64)  # of the newest status
         self._reported_flags = np.zeros(MOTORS, np.int64)  # of error frames, until they are cleared
         self._heard_ns = np.full(len(BOARDS), -NEVER_NS)
+        self._restarted = np.zeros(len(BOARDS), np.bool_)
         self._interval_ns = np.full(len(BOARDS), np.nan)
         self._pause_ns = np.full(len(BOARDS), clear_ns)
         self._clear_at_ns = np.full(len(BOARDS), -1)  # -1: nothing to clear
@@ -79,11 +80,23 @@ class Boards:
             case WarningReport():
                 self.counts["warnings"] += 1
             case Startup():
-                restarted = self._hand.startup_frame == "restart"
-                self.counts["starts" if restarted else "ignored_starts"] += 1
+                self._start(board)
             case _:
                 self.counts["answers"] += 1
         return None
+
+    def _start(self, board: int) -> None:
+        if self._hand.startup_frame != "restart":
+            self.counts["ignored_starts"] += 1
+            return
+        self.counts["starts"] += 1
+        self._restarted[board] = True
+        self._heard_ns[board] = -NEVER_NS  # what it said before is of another time
+
+    def take_restarted(self) -> Bool:
+        """Which boards (6,) have started anew since the last call."""
+        restarted, self._restarted = self._restarted, np.zeros(len(BOARDS), np.bool_)
+        return restarted
 
     def _status(self, now_ns: int, board: int, status: BoardFeedback) -> None:
         motors = _motors(board)

@@ -149,10 +149,11 @@ class HandPort:
     def _next_commands(self, now_ns: int) -> list[Command]:
         with self._lock:
             clears = self._boards.clears(now_ns)
-            silent = np.repeat(self._boards.age_ns(now_ns) > _ns(self._config.stale_ms / 1e3), 2)
+            silent = self._boards.age_ns(now_ns) > _ns(self._config.stale_ms / 1e3)
+            lost = np.repeat(silent | self._boards.take_restarted(), 2)
             if self._boards.overheated.any():
                 self._points.release()  # at once, whatever the service will say
-            self._points.step(now_ns, self._boards.sensed(), silent)
+            self._points.step(now_ns, self._boards.sensed(), lost)
             self._begin_cycle(now_ns)
             return [*clears, *self._points.commands()]
 

@@ -9,7 +9,7 @@ radians, positive in flexion. Pure: time comes in as `now_ns`, and nothing is se
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
@@ -55,12 +55,14 @@ class Request:
 class Sensed:
     """What the hand last reported; NaN stands for unknown.
 
-    `angle_rad` (12,), `temperature_c` (6,), `flagged` (12,): a motor with any error flag set.
+    `angle_rad` (12,), `temperature_c` (6,), `flagged` (12,): a motor with any error flag set, `lost` (12,):
+    one whose board may have been without power.
     """
 
     angle_rad: Float64
     temperature_c: Float64
     flagged: Bool
+    lost: Bool = field(default_factory=lambda: np.zeros(MOTORS, np.bool_))
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ class SafeSetPoints:
 class Gate:
     """Turns requests into safe set points, one call per frame sent; `counts` says what it had to change.
 
-    In order: range, rate, finger interference, current; a stalled motor and a hot board are released.
+    In order: range, rate, finger interference, current; stalled and lost motors and hot boards are released.
     A motor starts, and starts again after a release, from where its sensor says it is.
     """
 
@@ -106,7 +108,7 @@ class Gate:
         return SafeSetPoints(apart, np.where(enabled, self._current, 0), enabled)
 
     def _start(self, now_ns: int, sensed: Sensed) -> tuple[Float64, Bool]:
-        released = self._stalled(now_ns, sensed.flagged) | self._too_hot(sensed.temperature_c)
+        released = self._stalled(now_ns, sensed.flagged) | self._too_hot(sensed.temperature_c) | sensed.lost
         measured = np.clip(sensed.angle_rad, LOW_RAD, HIGH_RAD)
         start = np.where(released | np.isnan(self._set_rad), measured, self._set_rad)
         unmeasured = np.isnan(start)

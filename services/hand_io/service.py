@@ -12,7 +12,7 @@ from common.bus import Inbox, Input
 from common.demonstrations import Demonstrations
 from common.dexhand021.angles import to_normalised
 from common.executor import Executed
-from common.hand_messages import Drive, HandCommand, HandFrame, HandJoints, Link, ObjectPose
+from common.hand_messages import Drive, HandCommand, HandFrame, HandJoints, ObjectPose
 from common.messages import Episode, Fallback, Float32, Header
 from common.plant_loop import ACTIVE, Phase, PlantLoop, Seen
 from common.service import Output, Publish, Report, ToPort
@@ -215,19 +215,21 @@ class HandIoService:
         return [ToPort("arm", ARM_REPLY, self._arming.wish(sample.message.wish)) for sample in wishes]
 
     def _follow_state(self, before: State) -> list[Output]:
-        """Take torque and episode away, or give them back."""
+        """Take torque and episode away, or give them back.
+
+        A hand with trouble gets no torque: a board that is silent or has restarted may be without power, and
+        whoever switched it off, to free a finger, must find it limp when it is on again.
+        """
         now = self._arming.state
-        if now is before or (now in (State.RUNNING, State.RELAX)):
-            return []
-        if now in (State.FAULT, State.HOLD) and self._loop.abandon():
-            self._taken = None
-        if now is State.FAULT:
-            return [_order(OFF)]
-        if now is State.HOLD and (self._frame is None or self._frame.link is not Link.UP):
-            return [_order(OFF)]  # whatever is still on its way: when the bus is back nothing may move
+        entered, idle = now is not before, now in (State.FAULT, State.HOLD)
         powered = self._frame is not None and self._frame.drive is not Drive.OFF
-        wanted = powered if now is State.HOLD else before is State.HOLD
-        return [_order(STAY)] if wanted else []
+        if entered and idle and self._loop.abandon():
+            self._taken = None
+        if now is State.FAULT or (now is State.HOLD and self._condition.wrong):
+            return [_order(OFF)] if entered or powered else []
+        disarmed = now is State.HOLD and before is not State.FAULT and powered
+        armed = now is State.ARMED and before is State.HOLD
+        return [_order(STAY)] if entered and (disarmed or armed) else []
 
     # --- the control loop -------------------------------------------------------------------------
 

@@ -44,6 +44,7 @@ class SetPoints:
         self._ramp = Ramp.still(0, LOW_RAD)
         self._commanded_ns = 0
         self._current = np.full(MOTORS, hand.current, np.int64)
+        self._lost: Bool = np.zeros(MOTORS, np.bool_)
         self._past: Counter[Reason] = Counter()  # of gates that are gone
         self.drive = Drive.OFF
         self.sent = SafeSetPoints(LOW_RAD, np.zeros(MOTORS, np.int64), np.zeros(MOTORS, np.bool_))
@@ -77,11 +78,13 @@ class SetPoints:
         if self._gate is not None:
             self._past += self._gate.counts
             self._gate = None
+            self._lost = np.zeros(MOTORS, np.bool_)
 
     def step(self, now_ns: int, sensed: Sensed, silent: Bool) -> SafeSetPoints:
-        """The set points of this moment; motors (12,) whose board is `silent` are asked for nothing new.
+        """The set points of this moment; motors (12,) whose board is `silent`, or starts anew, are released.
 
-        Nor does one of them start: its last reading may be of a joint that has moved since.
+        Such a board may have been without power, and somebody may have moved its joints: at the old set point
+        it would jump. Its motors start from a fresh reading; a hand that only holds starts none.
         """
         if now_ns - self._commanded_ns > self._hold_ns:
             self.release()
@@ -91,10 +94,9 @@ class SetPoints:
             self.sent = SafeSetPoints(measured, nothing, nothing.astype(np.bool_))
             self.limited = np.ones(MOTORS, np.bool_)
             return self.sent
-        angle = np.where(silent & ~self.sent.enabled, np.nan, sensed.angle_rad)
+        self._lost = silent | (self._lost if self.drive is Drive.HOLD else np.zeros_like(silent))
         asked = self._ramp.at(now_ns)
-        wanted = np.where(silent & self.sent.enabled, self.sent.position_rad, asked)
-        self.sent = self._gate.step(now_ns, Request(wanted, self._current), replace(sensed, angle_rad=angle))
+        self.sent = self._gate.step(now_ns, Request(asked, self._current), replace(sensed, lost=self._lost))
         self.limited = ~(np.abs(self.sent.position_rad - asked) <= SAME_RAD)
         return self.sent
 

@@ -194,7 +194,7 @@ class EmulatedHand:
         return np.repeat(rates, 2)
 
     def _follow_faults(self, now_ns: int) -> list[Frame]:
-        said = [*self._stall(now_ns), *self._overheat(now_ns)]
+        said = [*self._stall(now_ns), *self._switch(now_ns)]
         if self._off or self.faults.active(now_ns, FaultKind.BUS_OFF):
             said = [reply for reply in said if isinstance(reply, OverTemperature)]
         return [self._encode(reply) for reply in said]
@@ -212,9 +212,10 @@ class EmulatedHand:
                 self.counts["stalls"] += 1
         return said
 
-    def _overheat(self, now_ns: int) -> list[Reply]:
+    def _switch(self, now_ns: int) -> list[Reply]:
+        """Lose power and get it back, and say so as far as the boards can."""
         hot = [b for b in range(len(BOARDS)) if self.faults.active(now_ns, FaultKind.OVERHEAT, b)]
-        was_off, self._off = self._off, bool(hot)
+        was_off, self._off = self._off, bool(hot) or self.faults.active(now_ns, FaultKind.POWER)
         if self._off and not was_off:
             self.counts["power_offs"] += 1
             return [OverTemperature(self._id(board)) for board in hot]

@@ -28,6 +28,7 @@ class FaultKind(StrEnum):
     REORDER = "reorder"  # answers come backwards, and the last round's after this one's
     DELAY = "delay"  # answers come `amount` ms late
     BUS_OFF = "bus_off"
+    POWER = "power"  # all boards are without power until the end, and then start anew
 
 
 class Fault(Frozen):

@@ -16,7 +16,6 @@ pytestmark = [pytest.mark.processes, pytest.mark.timeout(120)]
 
 SOFT_RAD = 0.01  # MuJoCo's end stops give way by so much
 INDEX_DISTAL, LITTLE = 4, slice(10, 12)
-HEARS = [*range(2), *range(4, 12)]  # while the palm's board is deaf
 
 
 @pytest.fixture(scope="module")
@@ -126,19 +125,29 @@ def test_a_board_that_is_briefly_silent_makes_its_parts_invalid(hand):
     assert hand.count("late_cycles") >= 10  # one for each cycle without its answer
 
 
-def test_a_board_that_stays_silent_puts_the_hand_on_hold(hand):
+def test_a_board_that_stays_silent_puts_the_hand_on_hold_without_torque(hand):
     begun = time.monotonic()
     hand.inject(FaultKind.SILENT, board="palm", for_s=2.2)
     wait(lambda: hand.told("silent: palm", begun, "hold"), "hold")
     reply = hand.ask()
     assert not reply.accepted and "silent: palm" in reply.reason
-    at = time.monotonic() + 0.1  # for what was still moving
-    wait(lambda: not hand.physics.powered.any(), "no torque after a while")
-    rows = hand.physics.since(at)
-    held = rows[(rows[:, -12:] > 0)[:, HEARS].all(axis=1)]
-    assert np.ptp(hand.physics.angles(held)[:, HEARS], axis=0).max() < 0.02
-    wait(lambda: not hand.joints.faults, "the board")
-    assert hand.state == "hold"
+    assert_limp_once_it_is_back(hand)
+
+
+@pytest.mark.parametrize("for_s", [0.5, 2.0])
+def test_a_hand_that_was_without_power_stays_limp_until_a_person_arms_it(hand, for_s):
+    hand.inject(FaultKind.POWER, for_s=for_s)
+    wait(lambda: hand.state == "hold", "hold")
+    assert_limp_once_it_is_back(hand)
+    assert hand.count("starts") >= 6
+
+
+def assert_limp_once_it_is_back(hand):
+    wait(lambda: not hand.physics.powered.any(), "no torque")
+    at = time.monotonic()
+    wait(lambda: not hand.joints.faults, "the boards")
+    time.sleep(0.3)
+    assert hand.state == "hold" and not torque(hand, at).any()
 
 
 DISTURBANCES = [

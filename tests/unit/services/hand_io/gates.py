@@ -35,13 +35,14 @@ class Bench:
         self.angle_rad = np.array(angle_rad, np.float64)
         self.temperature_c = np.full(6, COOL_C)
         self.flagged = np.zeros(MOTORS, np.bool_)
+        self.lost = np.zeros(MOTORS, np.bool_)
 
     def ask(self, position_rad: Any, current: Any = 20, after_ns: int = TICK_NS) -> Any:
         """Let `after_ns` pass and ask for `position_rad`."""
         self.now_ns += after_ns
         currents = np.full(MOTORS, current, np.int64) if np.isscalar(current) else current
         request = self.limits.Request(np.asarray(position_rad, np.float64), currents)
-        sensed = self.limits.Sensed(self.angle_rad, self.temperature_c, self.flagged)
+        sensed = self.limits.Sensed(self.angle_rad, self.temperature_c, self.flagged, self.lost)
         return self.gate.step(self.now_ns, request, sensed)
 
     def count(self, reason: str) -> int:

@@ -51,10 +51,12 @@ DIE = codec_for("die")
 class Rig:
     """From start to `close`; what was published is in `steps`, `joints` and `health`."""
 
-    def __init__(self, interface="virtual", port=43113, twin=None, hand=Hand.RIGHT, **options):
+    def __init__(
+        self, interface="virtual", port=43113, twin=None, hand=Hand.RIGHT, startup="restart", **options
+    ):
         channel = "239.74.163.2" if interface == "udp_multicast" else f"rig{next(_numbers)}"
         self.can = CanConfig(interface=interface, channel=channel, port=port)
-        task, assumed = get_die_task(TASK_OF[hand], hand), DexHandConfig(hand=hand)
+        task, assumed = get_die_task(TASK_OF[hand], hand), DexHandConfig(hand=hand, startup_frame=startup)
         shared = {"task": task.name, "can": self.can, "hand": assumed}
         shared |= {"control": ControlConfig(rate_hz=20, steps_per_plan=1)}
         config = HandIoProcess(**shared, hand_io=HandIoConfig(**{**QUICK, **options}))

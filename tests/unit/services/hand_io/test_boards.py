@@ -108,6 +108,10 @@ def test_other_replies_are_counted(boards):
     for reply in (WarningReport(9, 1, b""), Startup(9, b""), OverTemperature(9)):
         assert boards.take(0, reply) is None
     assert boards.counts == {"warnings": 1, "starts": 1, "overheats": 1}
+    assert [boards.take_restarted().tolist() for _ in range(2)] == [
+        [False] * 2 + [True] + [False] * 3,
+        [False] * 6,
+    ]
     deaf = Boards(DexHandConfig(startup_frame="ignored"), 100 * MS, 400 * MS, 45.0)
     deaf.take(0, Startup(9, b"\x01"))
     assert deaf.counts == {"ignored_starts": 1}  # and no `starts`, which end what runs

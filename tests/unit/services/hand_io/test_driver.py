@@ -52,7 +52,7 @@ class FakeLink:
 class Driven:
     def __init__(self):
         self.links, self.frames, self.fails = [], [], False
-        config = HandIoConfig(set_point_hz=100, reopen_s=0.03, max_reopen_s=0.06)
+        config = HandIoConfig(set_point_hz=100, stale_ms=1000, reopen_s=0.03, max_reopen_s=0.06)
         self.port = HandPort(CanConfig(interface="virtual"), DexHandConfig(), config, self._open)
         self.port.open(lambda _topic, frame: self.frames.append(frame))
 

@@ -111,8 +111,8 @@ def running(**control):
         ({"link": Link.BUS_OFF}, "fault: bus off", Drive.OFF),
         ({"overheated": np.eye(6, dtype=np.uint8)[2]}, "fault: too hot: index", Drive.OFF),
         ({"link": Link.DOWN, "error": "no such device"}, "hold: no bus: no such device", Drive.OFF),
-        ({"age_ms": np.full(6, 1500, np.float32)}, "hold: silent: thumb palm index", Drive.HOLD),
-        ({"counts": {"starts": 1.0}}, "hold: a board has restarted", Drive.HOLD),
+        ({"age_ms": np.full(6, 1500, np.float32)}, "hold: silent: thumb palm index", Drive.OFF),
+        ({"counts": {"starts": 1.0}}, "hold: a board has restarted", Drive.OFF),
     ],
 )
 def test_what_is_wrong_ends_the_episode_and_comes_back_only_into_hold(wrong, state, drive):

@@ -152,6 +152,19 @@ def test_a_stalled_motor_is_released_and_starts_again_where_it_is() -> None:
     assert bench.count("stall") == 1
 
 
+def test_a_lost_motor_is_released_and_starts_again_where_it_is() -> None:
+    bench = Bench(limits)
+    bench.ask(MIDDLE)
+    bench.lost[6] = True
+    bench.flagged[7] = True
+    bench.angle_rad = angles((6, 0.3))
+    safe = bench.ask(MIDDLE)
+    assert safe.enabled.tolist() == [motor not in (6, 7) for motor in range(12)]
+    assert (safe.position_rad[6], safe.current[6]) == (0.3, 0)
+    bench.lost[6] = False
+    assert bench.ask(MIDDLE).position_rad[6] == pytest.approx(0.3 + STEP_RAD)
+
+
 def _release_ns(bench: Bench) -> int:
     """Stall motor 9 once, measure how long it is released, to 10 ms."""
     bench.flagged[9] = True

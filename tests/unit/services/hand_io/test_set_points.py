@@ -98,20 +98,21 @@ def test_silence_of_the_service_ends_in_no_torque_and_counts_survive():
     assert bench.points.drive is Drive.OFF and bench.points.counts["rate"] > 0
 
 
-def test_a_silent_board_is_asked_for_nothing_new_and_does_not_start():
-    silent = np.arange(12) < 2
+@pytest.mark.parametrize("drive", [Drive.HOLD, Drive.FOLLOW])
+def test_a_lost_board_is_released_and_starts_where_its_joints_have_gone_if_the_hand_follows(drive):
+    lost, follows = np.arange(12) < 2, drive is Drive.FOLLOW
     bench = Bench()
     bench.go()
-    bench.order(Drive.FOLLOW, to_normalised(HERE - 0.1), ms=100)
-    bench.go()
-    for _ in range(10):
-        safe = bench.go(silent=silent)
-    assert (safe.position_rad[:2] > HERE[:2] - 0.05).all() and np.allclose(
-        safe.position_rad[4:], HERE[4:] - 0.1
-    )
-    bench.order(Drive.OFF)
-    bench.order(Drive.HOLD)
-    assert bench.go(silent=silent).enabled.tolist() == [False] * 2 + [True] * 10
+    bench.order(drive, to_normalised(HERE) if follows else EMPTY)
+    assert bench.go().enabled.all()
+    for _ in range(3):
+        assert bench.go(silent=lost).enabled.tolist() == [False] * 2 + [True] * 10
+    bench.angle[:2] -= 0.2
+    safe = bench.go()
+    assert safe.enabled.tolist() == [follows] * 2 + [True] * 10
+    assert np.allclose(safe.position_rad, bench.angle + 1.5 * 0.02 * (lost & follows), atol=1e-6)
+    bench.order(Drive.FOLLOW, to_normalised(HERE))
+    assert bench.go().enabled.all()
 
 
 def test_it_starts_again_from_where_the_joint_has_gone():
