@@ -12,6 +12,7 @@ from common.cell import SharedConfig
 from common.config import Frozen
 from services.perception.calibration import Dictionary
 from services.perception.filter import FilterConfig
+from services.perception.last_place import ElsewhereConfig
 from services.perception.screen import ScreenConfig
 from services.perception.status import SilenceConfig
 
@@ -97,6 +98,7 @@ class PerceptionConfig(Frozen):
     screen: ScreenConfig = ScreenConfig()
     silence: SilenceConfig = SilenceConfig()
     filter: FilterConfig = FilterConfig()
+    elsewhere: ElsewhereConfig = ElsewhereConfig()
     reach: ReachConfig = ReachConfig()
     knock: KnockConfig = KnockConfig()
     search_pause_s: float = Field(default=0.2, ge=0.0, description="between two searches")

@@ -27,6 +27,7 @@ from services.perception.config import PerceptionConfig
 from services.perception.counts import Counts
 from services.perception.filter import Measured, PoseFilter, Verdict
 from services.perception.frames import Float64, Frame
+from services.perception.last_place import LastPlace
 from services.perception.palm_tag import Mount
 from services.perception.reach import Reach
 from services.perception.screen import Screen
@@ -60,6 +61,7 @@ class PerceptionService:
         self._screen = Screen(config.screen, misfit)
         self._status = Status(config.silence)
         self._filter = PoseFilter(config.filter)
+        self._place = LastPlace(config.elsewhere)
         self._reach = Reach(config.reach, T_palm_camera)
         self._counts = Counts()
         self._search = 0  # number of the present one; answers and failures of earlier ones are not taken
@@ -187,6 +189,8 @@ class PerceptionService:
             doubt = self._filtered(measured)
         self._status.found(estimate, doubt)
         claimed = estimate.claimed and not doubt
+        if claimed:
+            self._place.claimed(measured)
         self._counts.add("claimed" if claimed else "unclaimed")
         filtered = self._filter.pose()
         pose = filtered if claimed and filtered is not None else measured
@@ -201,6 +205,10 @@ class PerceptionService:
 
     def _filtered(self, measured: Measured) -> str:
         """Pass a claimed pose through the filter; why it is not believed, if it is not."""
+        doubt = self._place.doubt(measured)
+        if doubt:
+            self._counts.add("outliers")
+            return doubt
         before = self._filter.pose()
         verdict = self._filter.update(measured)
         if verdict is Verdict.OUTLIER and before is not None:
@@ -252,6 +260,7 @@ class PerceptionService:
 
     def _reset(self, reason: str) -> list[Output]:
         self._counts.add("resets")
+        self._place.forget()
         self._status.reset()
         reply = PoseResetReply(accepted=True, state=self._status.state.value, reason=reason)
         return [*self._forget(), ToPort("reset", RESET_REPLY, reply)]

@@ -108,21 +108,6 @@ def test_a_stuck_camera_is_noticed_although_its_time_goes_on():
     assert len(driven.poses) == 1 and driven.fields["refused_stuck"] == 39
 
 
-def test_a_second_die_is_not_taken_for_the_first():
-    """The backend jumps to one beside it for some frames: no such pose is claimed."""
-    backend = ScriptedBackend()
-    driven = DrivenPerception(backend).tracked()
-    backend.pose = rigid.join((0.09, 0.0, 0.0), (1, 0, 0, 0)) @ HELD
-    driven.see(), driven.see()
-    assert driven.said.state == "suspect"
-    assert "jumped by 90 mm" in driven.said.message and "a second die" in driven.said.message
-    assert [sample.header.valid for sample in driven.poses] == [False, False]
-    assert driven.fields["outliers"] == 2
-    backend.pose = HELD
-    driven.see()
-    assert driven.said.state == "tracking" and driven.poses[-1].header.valid
-
-
 def test_a_second_cube_beyond_the_hands_reach_is_not_searched():
     driven = DrivenPerception(reach={"radius_m": 0.12})
     beside = rigid.join((0.17, 0.0, 0.0), (1, 0, 0, 0)) @ HELD
