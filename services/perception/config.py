@@ -48,6 +48,12 @@ class KnockConfig(Frozen):
     period_s: float = Field(default=1.0, gt=0.0, description="between two looks at the palm's tag")
     limit_px: float = Field(default=2.0, gt=0.0, description="a tag further off means a knocked camera")
     looks: int = Field(default=3, ge=1, description="so many in a row decide")
+    unseen_looks: int = Field(
+        default=60,
+        ge=1,
+        description="without the tag, and no pose is claimed until it is seen again; 30 s at preview_hz 2: "
+        "longer than the fingers of one episode hide it",
+    )
 
 
 class CubeConfig(Frozen):

@@ -165,7 +165,8 @@ def test_swapped_channels_are_said_and_nothing_is_claimed():
     assert not driven.poses[-1].header.valid
 
 
-def test_a_knocked_camera_is_said_and_nothing_is_claimed():
+@pytest.mark.parametrize("degrees", [0.5, 8.0])
+def test_a_knocked_camera_is_said_and_nothing_is_claimed(degrees):
     reference = TagReference(number=7, corners_px=[tuple(c) for c in corners().tolist()])
     tag = PalmTag(reference, KnockConfig(looks=2))
     driven = DrivenPerception(ScriptedBackend(), tag=tag, knock={"period_s": 0.01}).tracked()
@@ -175,7 +176,7 @@ def test_a_knocked_camera_is_said_and_nothing_is_claimed():
 
     fed(driven, seen_from(knocked(0.0)), 4)
     assert driven.said.state == "tracking" and driven.poses[-1].header.valid
-    fed(driven, seen_from(knocked(0.5)), 4)
+    fed(driven, seen_from(knocked(degrees)), 4)
     assert driven.said.state == "suspect" and driven.said.message.startswith("camera knocked")
     assert not driven.poses[-1].header.valid and driven.fields["knocked"] == 1
     fed(driven, seen_from(knocked(0.0)), 4)

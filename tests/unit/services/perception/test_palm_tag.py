@@ -63,6 +63,33 @@ def test_a_knock_of_less_than_half_a_degree_is_noticed(tag, moved):
     assert tag.message().endswith("fix the camera and run calibrate again")
 
 
+@pytest.mark.parametrize("degrees", [2, 4, 6, 10, 15, -4, -15])
+def test_a_knock_that_moves_the_tag_far_away_is_noticed(tag, degrees):
+    for seed in range(3):
+        tag.look(picture(seed=seed))
+    moved = knocked(degrees)
+    assert [tag.look(picture(moved, seed=n)) for n in range(3)] == [Mount.STEADY] * 2 + [Mount.KNOCKED]
+    off_px = np.linalg.norm(corners(moved) - corners(), axis=1).mean()
+    assert tag.offset_px == pytest.approx(off_px, abs=0.5)
+
+
+def test_far_away_from_the_start_it_is_no_steady_camera(tag):
+    assert [tag.look(picture(knocked(8), seed=n)) for n in range(3)][-1] is Mount.KNOCKED
+
+
+@pytest.mark.parametrize("before, verdict", [(0, Mount.UNKNOWN), (3, Mount.STEADY)])
+def test_a_tag_that_nobody_sees_any_more_is_said_until_it_is_judged_again(before, verdict):
+    reference = TagReference(number=NUMBER, corners_px=[tuple(c) for c in corners().tolist()])
+    tag = PalmTag(reference, KnockConfig(looks=3, unseen_looks=5))
+    for _ in range(before):
+        tag.look(picture())
+    away = np.full((HEIGHT, 640, 3), 90, np.uint8)
+    assert [tag.look(away) for _ in range(5)] == [verdict] * 4 + [Mount.UNSEEN]
+    assert tag.message().startswith("the palm's tag was not seen in 5 looks: is it covered, or")
+    assert [tag.look(picture()) for _ in range(3)] == [Mount.UNSEEN] * 2 + [Mount.STEADY]
+    assert tag.message() == ""
+
+
 def test_a_camera_that_is_put_back_is_steady_again(tag):
     for picture_seen in [picture(knocked(0.5))] * 3 + [picture()] * 3:
         tag.look(picture_seen)
