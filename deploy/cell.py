@@ -14,7 +14,7 @@ from common.camera_config import CameraConfig
 from common.can_config import CanConfig
 from common.cell import SharedConfig
 from common.config import ConfigError, Frozen, digest, parse
-from common.dexhand021.config import DexHandConfig
+from common.dexhand021.config import NO_CURRENT_LIMIT, DexHandConfig
 from common.dexhand021.glove_config import GloveConfig
 from common.hand_messages import PoseSource
 from common.model.config import ModelConfig
@@ -141,6 +141,8 @@ def _hand_problems(cell: Cell) -> Iterable[str]:
         yield "pose_source: only an emulated hand has a twin that knows where the die is"
     if cell.hand_io.auto_arm and not cell.can.simulated:
         yield "hand_io.auto_arm: a hand that can hurt is armed by a person (deploy.arm)"
+    if not (cell.hand.limits_current or cell.can.simulated):
+        yield NO_CURRENT_LIMIT
 
 
 def _machine_problems(cell: Cell) -> Iterable[str]:

@@ -23,6 +23,10 @@ Sign = Literal[-1, 1]
 Signs = Annotated[tuple[Sign, ...], Field(min_length=MOTORS, max_length=MOTORS)]
 Ratio = Annotated[float, Field(gt=0.0, le=4.0)]
 
+NO_CURRENT_LIMIT = (
+    "hand.motion: board_short carries no limit of current: with a real hand it wants "
+    "hand.accept_no_current_limit: true"
+)
 _MODES = {
     "cascaded_pid": ControlMode.CASCADED_PID,
     "mit_torque": ControlMode.MIT_TORQUE,
@@ -40,7 +44,14 @@ class DexHandConfig(Frozen):
         default="cascaded_pid", description="control mode; all three take angles"
     )
     motion: Literal["broadcast", "board", "board_short"] = Field(
-        default="broadcast", description="one 64-byte frame, six of 12 bytes, or six of 6 for old firmware"
+        default="broadcast",
+        description="one 64-byte frame, six of 12 bytes, or six of 6 for old firmware, "
+        "which carry neither speed nor current",
+    )
+    accept_no_current_limit: bool = Field(
+        default=False,
+        description="board_short on a real bus: accept that hand.speed, hand.current and "
+        "hand_io.limits.max_current have no effect",
     )
     bit_rate_switch: bool = Field(default=False, description="BRS on the frames that we send")
     feedback_bytes: Literal[16, 42, 46, 48, 56, 64] | None = Field(
@@ -60,6 +71,11 @@ class DexHandConfig(Frozen):
     startup_frame: Literal["restart", "ignored"] = Field(
         default="restart", description="what a frame of 0x400 + board says, whatever its bytes are"
     )
+
+    @property
+    def limits_current(self) -> bool:
+        """Whether commands say what current may be drawn, or somebody has accepted that they do not."""
+        return self.motion != "board_short" or self.accept_no_current_limit
 
     @property
     def control_mode(self) -> ControlMode:
@@ -92,6 +108,12 @@ CONFIRM_ON_HARDWARE = (
         "broadcast",
         "one frame instead of six; known to the newer SDKs only",
         "send a broadcast that enables one motor and see it move and six boards answer",
+    ),
+    Confirm(
+        "accept_no_current_limit",
+        "False",
+        "frames of motion board_short carry neither speed nor current: no limit of ours reaches the motors",
+        "with 12-byte frames first; if the firmware knows only 6, press one free fingertip on a scale",
     ),
     Confirm(
         "bit_rate_switch",

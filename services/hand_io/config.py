@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from common.can_config import CanConfig
 from common.cell import SharedConfig
 from common.config import Frozen
-from common.dexhand021.config import Confirm, DexHandConfig
+from common.dexhand021.config import NO_CURRENT_LIMIT, Confirm, DexHandConfig
 from common.dexhand021.glove_config import GloveConfig
 from common.dexhand021.tables import MOTORS
 from common.hand_messages import PoseSource
@@ -66,4 +66,10 @@ class HandIoProcess(SharedConfig):
     def _armed_by_people(self) -> Self:
         if self.hand_io.auto_arm and not self.can.simulated:
             raise ValueError("hand_io.auto_arm: a hand that can hurt is armed by a person (deploy.arm)")
+        return self
+
+    @model_validator(mode="after")
+    def _limited_by_current(self) -> Self:
+        if not (self.hand.limits_current or self.can.simulated):
+            raise ValueError(NO_CURRENT_LIMIT)
         return self

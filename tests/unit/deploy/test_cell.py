@@ -16,6 +16,7 @@ from deploy.cell import (
 )
 from deploy.cell_files import CELLS_DIR, find_cell
 from deploy.processes import NAMES, process_of, processes_of
+from services.hand_io.config import HandIoProcess
 
 IN_SIMULATION = tuple(process.name for process in processes_of("sim"))
 SHIPPED = sorted(path.stem for path in CELLS_DIR.glob("*.yaml"))
@@ -201,6 +202,21 @@ def test_process_of_knows_instances() -> None:
 def test_a_hand_that_cannot_be_driven_so_is_refused(overrides: list[str], complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         load_cell("dexhand_twin", overrides)
+
+
+def test_frames_without_a_limit_of_current_must_be_accepted_for_a_real_hand() -> None:
+    short = ["hand.motion=board_short"]
+    assert load_cell("dexhand_twin", short).hand.motion == "board_short"
+    real = [*short, "plant=hand", "pose_source=perception", "hand_io.auto_arm=false", "can.interface=pcan"]
+    real.append("can.channel=PCAN_USBBUS1")
+    with pytest.raises(ConfigError, match="board_short carries no limit of current"):
+        load_cell("dexhand_twin", real)
+    cell = load_cell("dexhand_twin", [*real, "hand.accept_no_current_limit=true"])
+    process = process_config(cell, "hand_io")
+    parse(HandIoProcess, process, "hand_io")
+    process["hand"]["accept_no_current_limit"] = False  # the process trusts nobody either
+    with pytest.raises(ConfigError, match="board_short carries no limit of current"):
+        parse(HandIoProcess, process, "hand_io")
 
 
 def test_each_plant_brings_its_own_processes() -> None:

@@ -16,6 +16,7 @@ REST = [each.why for _, each in ROWS if not each.field]
 NOT_PUBLIC = {
     "control mode's stiffness": {"hand.mode"},
     "broadcast known to the firmware": {"hand.motion"},
+    "force without a limit of current": {"hand.accept_no_current_limit"},
     "bit rate switch of the replies": {"hand.bit_rate_switch"},
     "length of the replies": {"hand.feedback_bytes", "emulator.feedback_bytes"},
     "scaling of the speed field": {"hand.speed"},
