@@ -30,12 +30,12 @@ from common.dexhand021 import host
 from common.dexhand021.commands import BroadcastMotion, MotorTarget
 from common.dexhand021.config import DexHandConfig
 from common.dexhand021.replies import BoardFeedback
-from common.dexhand021.tables import BOARDS, MOTORS
+from common.dexhand021.tables import BOARDS, JOINTS
 from services.hand_io.config import HandIoConfig
 
 ROOT = Path(__file__).parents[1]
 LOST_MS = 50.0
-HOLD_CDEG = 2000  # where the motors are told to be: the load of a hand that holds
+HOLD_CDEG = 2000  # where the motors are told to be, if their range goes so far: the load of a hand that holds
 LIMITS = {"round_trip_ms_p50": 2.0, "round_trip_ms_p99": 8.0, "lost_cycles": 20.0}
 
 
@@ -83,8 +83,9 @@ def free_port() -> int:
 def measure(link: CanLink, cycles: int, rate_hz: float) -> Measured:
     """Send `cycles` commands at `rate_hz` and wait for the answers to each."""
     hand = DexHandConfig()
-    target = MotorTarget(True, HOLD_CDEG, hand.speed, hand.current)
-    frame = host.encode(BroadcastMotion(hand.hand, hand.control_mode, (target,) * MOTORS))
+    held = [min(HOLD_CDEG, joint.high_cdeg) for joint in JOINTS]
+    targets = tuple(MotorTarget(True, position, hand.speed, hand.current) for position in held)
+    frame = host.encode(BroadcastMotion(hand.hand, hand.control_mode, targets))
     found = Measured()
     began_s = time.process_time()
     ticker = Ticker(round(1e9 / rate_hz), time.monotonic_ns())
