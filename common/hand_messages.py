@@ -138,6 +138,7 @@ class ArmRequest:
     """`port/arm`: a person's wish, as it came in with the query `hand/arm`."""
 
     wish: ArmWish
+    deadline_ns: Count = 0  # set by the desk: after it the person has been told that nobody answers
 
 
 @dataclass(frozen=True)

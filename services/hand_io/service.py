@@ -12,7 +12,7 @@ from common.bus import Inbox, Input
 from common.demonstrations import Demonstrations
 from common.dexhand021.angles import to_normalised
 from common.executor import Executed
-from common.hand_messages import Drive, HandCommand, HandFrame, HandJoints, ObjectPose
+from common.hand_messages import ArmWish, Drive, HandCommand, HandFrame, HandJoints, ObjectPose
 from common.messages import Episode, Fallback, Float32, Header
 from common.plant_loop import ACTIVE, Phase, PlantLoop, Seen
 from common.service import Output, Publish, Report, ToPort
@@ -139,6 +139,7 @@ class HandIoService:
         self._frame: HandFrame | None = None
         self._pose: tuple[Header, ObjectPose] | None = None
         self._joints_ns = 0
+        self._late_wishes = 0
 
     @property
     def boot_id(self) -> int:
@@ -151,7 +152,7 @@ class HandIoService:
         self._take(inbox)
         before = self._arming.state
         self._watch_over(now_ns)
-        out = self._answer(inbox)
+        out = self._answer(now_ns, inbox)
         out += self._follow_state(before)
         if self._arming.operational:
             out += self._run(now_ns, inbox)
@@ -172,6 +173,7 @@ class HandIoService:
             }
         fields |= {f"refused_poses_{reason}": float(n) for reason, n in self._fusion.refused.items()}
         armed = {"armed": float(self._arming.operational), "faults": float(self._arming.faults_seen)}
+        armed["late_wishes"] = float(self._late_wishes)
         return Report(self._words(), fields | armed)
 
     def _words(self) -> str:
@@ -210,9 +212,15 @@ class HandIoService:
         relaxed = self._off_frames >= RELAXED_FRAMES
         self._arming.update(now_ns, self._condition, self._loop.phase in ACTIVE, relaxed)
 
-    def _answer(self, inbox: Inbox) -> list[Output]:
-        wishes = inbox.take(ARM_REQUEST)
-        return [ToPort("arm", ARM_REPLY, self._arming.wish(sample.message.wish)) for sample in wishes]
+    def _answer(self, now_ns: int, inbox: Inbox) -> list[Output]:
+        out: list[Output] = []
+        for sample in inbox.take(ARM_REQUEST):
+            wish: ArmWish = sample.message.wish
+            if wish is ArmWish.ARM and now_ns > sample.message.deadline_ns:
+                self._late_wishes += 1  # who asked was told that it failed, and may have a hand in there
+                continue
+            out.append(ToPort("arm", ARM_REPLY, self._arming.wish(wish)))
+        return out
 
     def _follow_state(self, before: State) -> list[Output]:
         """Take torque and episode away, or give them back.

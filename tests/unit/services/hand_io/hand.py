@@ -118,7 +118,7 @@ class DrivenService:
         self.pose = replace(self.pose, position=position)
 
     def arm(self, wish=ArmWish.ARM):
-        self.send(ARM_REQUEST, ArmRequest(wish))
+        self.send(ARM_REQUEST, ArmRequest(wish, self.now_ns + 2 * FRAME_NS))
         self.turn()
         return self.replies[-1]
 
