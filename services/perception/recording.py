@@ -131,6 +131,9 @@ def _read_header(folder: Path) -> dict[str, Any]:
         raise ValueError(f"{path}: no camera recording ({error})") from error
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise ValueError(f"{path}: not a '{FORMAT}'")
+    missing = [name for name in ("depth_unit_m", "camera_matrix") if name not in header]
+    if missing:
+        raise ValueError(f"{path}: {missing[0]} is missing")
     return header
 
 

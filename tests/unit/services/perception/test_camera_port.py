@@ -48,6 +48,23 @@ class Cameras:
         return self.opened[-1]
 
 
+class Pacing:
+    """A clock, and an event whose waits move it on."""
+
+    def __init__(self):
+        self.ns, self.set = 10**18, False
+
+    def now_ns(self):
+        return self.ns
+
+    def wait(self, seconds):
+        self.ns += round(seconds * 1e9)
+        return self.set
+
+    def is_set(self):
+        return self.set
+
+
 class FixedClock:
     def now_ns(self):
         return 10**18
@@ -85,6 +102,70 @@ def test_frames_pass_with_their_own_times():
 def test_a_recording_is_shown_now_with_its_frames_as_far_apart_as_they_were():
     got, _ = delivered(Cameras(Scripted(frame(HELD, 1), frame(HELD, 2), frame(HELD, 3))), 3, replayed=True)
     assert [message.depth_time_ns - 10**18 for message in got] == [0, 33_000_000, 66_000_000]
+
+
+def player(folder, repeat):
+    recorder = Recorder(folder)
+    for number in (1, 2, 3):
+        recorder.write(frame(HELD, number))
+    recorder.close()
+    return lambda: open_source(SourceConfig(kind="recording", path=folder, repeat=repeat))
+
+
+def read_out(open_recording, count):
+    """The times, ms since the start, of `count` pictures at most of a recording that is shown now."""
+    pacing, got = Pacing(), []
+
+    def take(topic, message):
+        got.append((message.depth_time_ns - 10**18) / 1e6)
+        pacing.set = len(got) >= count
+
+    port = CameraPort(open_recording, replayed=True, clock=pacing)
+    port._stop, port._deliver = pacing, take
+    port._run()
+    return got, port
+
+
+def test_a_recording_that_is_repeated_goes_on_in_time(tmp_path):
+    got, _ = read_out(player(tmp_path, repeat=True), 7)
+    assert np.diff(got) == pytest.approx([33, 33, 33.333333] * 2, abs=1e-5)
+
+
+def test_a_recording_that_is_not_repeated_is_shown_once(tmp_path):
+    got, port = read_out(player(tmp_path, repeat=False), 7)
+    assert got == [0, 33, 66] and "no more frames" in port.last_error
+
+
+class Raising(Scripted):
+    def read(self, timeout_s):
+        if not self.reads:
+            raise KeyError("serial")
+        return super().read(timeout_s)
+
+    def close(self):
+        raise AttributeError("half open")
+
+
+def test_whatever_a_driver_raises_it_is_noted_and_the_camera_opened_again():
+    cameras = iter([TypeError("no such option"), Raising(frame(HELD, 1)), Scripted(frame(HELD, 2))])
+
+    def opened():
+        camera = next(cameras, RuntimeError("no device connected"))
+        if isinstance(camera, Exception):
+            raise camera
+        return camera
+
+    got, port = delivered(opened, 2)
+    assert [message.frame_number for message in got] == [1, 2]
+    assert port.counts["unopened"] >= 1 and port.counts["failed"] == 2
+
+
+def test_a_recording_without_a_depth_unit_is_one_line(tmp_path):
+    opened = player(tmp_path, repeat=False)
+    header = (tmp_path / "camera.json").read_text(encoding="ascii")
+    (tmp_path / "camera.json").write_text(header.replace("depth_unit_m", "unit"), encoding="ascii")
+    with pytest.raises(ValueError, match=r"camera\.json: depth_unit_m is missing"):
+        opened()
 
 
 def test_a_camera_that_is_unplugged_is_opened_again():
