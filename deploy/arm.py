@@ -46,7 +46,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("cell", nargs="?", default="dexhand_twin", help="a file, or a name in deploy/cells")
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="a.b=c")
     wish = parser.add_mutually_exclusive_group()
-    off, status = "the hand stays where it is, then loses its torque", "only ask"
+    off, status = "the hand holds for hold_s, then is limp; given twice, it is limp at once", "only ask"
     wish.add_argument("--off", dest="wish", action="store_const", const=ArmWish.DISARM, help=off)
     wish.add_argument("--status", dest="wish", action="store_const", const=ArmWish.STATUS, help=status)
     parser.set_defaults(wish=ArmWish.ARM)

@@ -152,8 +152,8 @@ class HandIoService:
         self._take(inbox)
         before = self._arming.state
         self._watch_over(now_ns)
-        out = self._answer(now_ns, inbox)
-        out += self._follow_state(before)
+        out, limp = self._answer(now_ns, inbox)
+        out += self._follow_state(before) + limp
         if self._arming.operational:
             out += self._run(now_ns, inbox)
         return out + self._show(now_ns)
@@ -212,15 +212,19 @@ class HandIoService:
         relaxed = self._off_frames >= RELAXED_FRAMES
         self._arming.update(now_ns, self._condition, self._loop.phase in ACTIVE, relaxed)
 
-    def _answer(self, now_ns: int, inbox: Inbox) -> list[Output]:
+    def _answer(self, now_ns: int, inbox: Inbox) -> tuple[list[Output], list[Output]]:
+        """Replies, and the order that has the last word: who stops a hand that is not armed wants it limp."""
         out: list[Output] = []
+        limp: list[Output] = []
         for sample in inbox.take(ARM_REQUEST):
             wish: ArmWish = sample.message.wish
             if wish is ArmWish.ARM and now_ns > sample.message.deadline_ns:
                 self._late_wishes += 1  # who asked was told that it failed, and may have a hand in there
                 continue
+            if wish is ArmWish.DISARM and not self._arming.operational:
+                limp = [_order(OFF)]
             out.append(ToPort("arm", ARM_REPLY, self._arming.wish(wish)))
-        return out
+        return out, limp
 
     def _follow_state(self, before: State) -> list[Output]:
         """Take torque and episode away, or give them back.

@@ -7,10 +7,10 @@ import pytest
 
 from common.bus import Inbox
 from common.cell import ControlConfig, SharedConfig
-from common.hand_messages import ArmWish, Drive, Link
+from common.hand_messages import ArmRequest, ArmWish, Drive, Link
 from common.messages import Chunk, Episode, Fallback, Header, Mode, PlantFrame, Warmup
 from common.service import Publish, ToPort
-from common.topics import CHUNK, EPISODE, PLANT_FRAME, STEP
+from common.topics import ARM_REQUEST, CHUNK, EPISODE, PLANT_FRAME, STEP
 from services.sim.service import SimService
 from tests.unit.services.hand_io.hand import CODEC, FRAME_NS, POSE, TASK, DrivenService
 
@@ -159,6 +159,16 @@ def test_a_disarmed_hand_stays_where_it_is():
     for _ in range(20):
         hand.turn(1)
     assert len(hand.commands) == commands
+    assert hand.arm(ArmWish.DISARM).accepted  # who insists wants it limp
+    assert hand.drives[commands:] == [Drive.OFF]
+
+
+def test_two_wishes_to_stop_that_come_together_make_the_hand_limp():
+    hand = running()
+    for _ in range(2):
+        hand.send(ARM_REQUEST, ArmRequest(ArmWish.DISARM))
+    hand.turn()
+    assert hand.drives[-1] is Drive.OFF and len(hand.replies) == 3
 
 
 def test_what_the_limits_made_of_an_action_is_what_is_published():
