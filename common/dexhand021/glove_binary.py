@@ -8,11 +8,11 @@ from __future__ import annotations
 import importlib
 import io
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from itertools import groupby
 from typing import Any, TypeVar, cast
 
-from common.dexhand021.glove_recording import COLUMNS, GloveError, Table
+from common.dexhand021.glove_recording import COLUMNS, TIME_COLUMNS, GloveError, Table
 from common.dexhand021.glove_text import table_of_rows
 
 ReadT = TypeVar("ReadT")
@@ -112,16 +112,21 @@ def _hdf5_tables(h5py: Any, data: bytes, source: str) -> list[Table]:
 
 def _hdf5_columns(h5py: Any, group: Any) -> tuple[dict[str, Sequence[Any]], str]:
     columns: dict[str, Sequence[Any]] = {}
-    unit = str(group.attrs.get("unit", ""))
+    unit = _text(group.attrs.get("unit", ""))
     for name, item in group.items():
         if not isinstance(item, h5py.Dataset):
             continue
         if item.ndim == 1:
             columns[name] = item[()].tolist()
         elif item.ndim == 2 and "columns" in item.attrs:
-            unit = str(item.attrs.get("unit", unit))
-            columns |= dict(zip(map(str, item.attrs["columns"]), item[()].T.tolist(), strict=True))
+            unit = _text(item.attrs.get("unit", unit))
+            columns |= dict(zip(map(_text, item.attrs["columns"]), item[()].T.tolist(), strict=True))
     return columns, unit
+
+
+def _text(value: object) -> str:
+    """An attribute as text: HDF5 stores strings of fixed length as bytes."""
+    return value.decode() if isinstance(value, bytes) else str(value)
 
 
 def read_mcap(
@@ -129,10 +134,16 @@ def read_mcap(
 ) -> list[Table]:
     """The messages of one topic: JSON objects, or JointState, whose angles are radians. Raises GloveError.
 
-    Without `topic` it must be the only one that has a column of COLUMNS, or what `names` calls it.
+    Without `topic` it must be the only one that has a column of COLUMNS, or what `names` calls it. Time is
+    the log time: a time within the messages, whose unit is anybody's guess, counts only if `names` says so.
     """
     reader = library("mcap.reader", source)
-    rows = _guarded(lambda: _mcap_rows(reader.make_reader(io.BytesIO(data)), topic, source), source, "MCAP")
+    kept = set((names or {}).values())
+    rows = _guarded(
+        lambda: _mcap_rows(reader.make_reader(io.BytesIO(data)), topic, source, TIME_COLUMNS.keys() - kept),
+        source,
+        "MCAP",
+    )
     wanted = {(names or {}).get(name, name) for name in COLUMNS}
     worn = {each: found for each, found in rows.items() if wanted & found[0].keys()}
     if len(worn) != 1:
@@ -143,10 +154,11 @@ def read_mcap(
     return [table_of_rows(next(iter(worn.values())), source)]
 
 
-def _mcap_rows(reader: Any, topic: str, source: str) -> dict[str, list[dict[str, Any]]]:
+def _mcap_rows(reader: Any, topic: str, source: str, left_out: Set[str]) -> dict[str, list[dict[str, Any]]]:
     rows: dict[str, list[dict[str, Any]]] = {}
     for name, t_ns, row in _mcap_messages(reader, topic, source):
-        rows.setdefault(name, []).append({"t_ns": t_ns, **row})
+        told = {each: value for each, value in row.items() if each not in left_out}
+        rows.setdefault(name, []).append({"t_ns": t_ns, **told})
     return rows
 
 

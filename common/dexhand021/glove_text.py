@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections import Counter
 from typing import Any, cast
 
 from common.dexhand021.glove_recording import GloveError, Table
@@ -19,6 +20,9 @@ def read_csv(data: bytes, source: str) -> list[Table]:
     if not rows:
         raise GloveError(f"{source}: is empty")
     head = [name.strip() for name in rows[0]]
+    twice = [name for name, times in Counter(head).items() if name and times > 1]
+    if twice:
+        raise GloveError(f"{source}: column {twice[0]} stands more than once in the header")
     for number, row in enumerate(rows[1:], start=1):
         if len(row) < len(head):
             raise GloveError(f"{source}: row {number}, column {head[len(row)]}: the line ends before it")

@@ -66,6 +66,10 @@ def cut_out(first, last):
     [
         (without("Ring_PIP_Flex"), "take.csv: there is no column Ring_PIP_Flex"),
         (
+            spoil(0, MCP + 1, " Index_MCP_Flex"),
+            "take.csv: column Index_MCP_Flex stands more than once in the header",
+        ),
+        (
             without("Ring_PIP_Flex", "Pinky_DIP_Flex"),
             "take.csv: there is no column Ring_PIP_Flex (nor 1 more)",
         ),

@@ -99,6 +99,35 @@ def test_mcap_reads_joint_states_of_ros_2_in_radians(tmp_path):
     assert np.abs(found.angles_deg - wanted.angles_deg).max() < 1e-4
 
 
+def test_hdf5_names_and_units_of_fixed_length_are_read(tmp_path):
+    wanted = recording(6)
+    with h5py.File(tmp_path / "take.h5", "w") as file:
+        file["t_ns"] = wanted.t_ns
+        file["angles"] = wanted.angles_deg
+        file["angles"].attrs["columns"] = np.array(COLUMNS, "S")
+        file["angles"].attrs["unit"] = np.bytes_("deg")
+    (found,) = read(tmp_path / "take.h5")
+    assert same(found, wanted)
+
+
+def test_times_within_an_mcap_message_count_only_if_somebody_says_so(tmp_path):
+    data = BytesIO()
+    writer = Writer(data)
+    writer.start()
+    schema = writer.register_schema(name="glove", encoding="jsonschema", data=b"{}")
+    channel = writer.register_channel(topic="/glove", message_encoding="json", schema_id=schema)
+    for n in range(3):
+        row = dict.fromkeys(COLUMNS, 40.0) | {"timestamp": 10 * n, "t_ns": 3 * n, "time_s": 0.02 * n}
+        t_ns = 5_000_000_000 + 50_000_000 * n
+        writer.add_message(channel, log_time=t_ns, data=json.dumps(row).encode(), publish_time=t_ns)
+    writer.finish()
+    path = tmp_path / "take.mcap"
+    path.write_bytes(data.getvalue())
+    assert read(path)[0].t_ns.tolist() == [0, 50_000_000, 100_000_000]
+    chosen = read(path, names={"Elapsed_Time_In_Milliseconds": "timestamp"})
+    assert chosen[0].t_ns.tolist() == [0, 10_000_000, 20_000_000]
+
+
 def two_gloves():
     data = BytesIO()
     writer = Writer(data)
