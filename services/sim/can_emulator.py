@@ -145,7 +145,7 @@ class EmulatedHand:
         wanted = from_wire_cdeg([target.position for target in targets], self._signs[motors])
         follows = hears & enabled & ~self._latched[motors]
         outside = np.maximum(LOW_RAD[motors] - wanted, wanted - HIGH_RAD[motors]) > SAME_RAD
-        # Counted, not cut: what a real board does with such a set point is not public.
+        # Counted here, for the twin cuts it: what a real board does with such a set point is not public.
         self.counts["beyond_range"] += int(np.count_nonzero(follows & outside))
         self._target_rad[motors] = np.where(follows, wanted, self._target_rad[motors])
         self._enabled[motors] = np.where(hears, enabled, self._enabled[motors])

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from bench.can import free_port
-from common.dexhand021.tables import HIGH_RAD, LOW_RAD
 from common.messages import Fallback, Mode
 from common.topics import CHUNK, EPISODE, HAND_JOINTS, STEP
 from tests.faults.cell import free_ports, wait
@@ -110,8 +109,9 @@ def test_without_hand_io_the_boards_let_go_and_what_comes_back_waits_for_a_perso
     assert again.message.episode == hit.message.episode and again.header.boot_id != hit.header.boot_id
 
 
-def test_no_joint_ever_left_its_range(cell):
+def test_no_motor_with_torque_was_ever_told_to_leave_its_range(cell):
     wait(lambda: cell.heard.samples(EPISODE), "an episode")
-    angles = np.array([frame.q_rad for frame in cell.physics(0)])
-    assert len(angles) > 1000
-    assert np.maximum(LOW_RAD - angles, angles - HIGH_RAD).max() < 0.01
+    frames = cell.physics(0)
+    assert len(frames) > 1000 and any(frame.powered.any() for frame in frames)
+    # Where the joints are says nothing: the twin cuts what it is told to the range.
+    assert frames[-1].counts["beyond_range"] == 0
