@@ -41,16 +41,19 @@ _TIP = tuple(i for i, board in enumerate(BOARDS) if board.has_tactile)  # boards
 class Boards:
     """Takes replies of one hand; those of another on the same bus are counted and passed over."""
 
-    def __init__(self, hand: DexHandConfig, clear_ns: int, max_clear_ns: int, resume_c: float) -> None:
+    def __init__(
+        self, hand: DexHandConfig, clear_ns: int, max_clear_ns: int, resume_c: float, rest_ns: int
+    ) -> None:
         self._hand = hand
         self._clear_ns, self._max_clear_ns = clear_ns, max_clear_ns
-        self._resume_c = resume_c
+        self._resume_c, self._rest_ns = resume_c, rest_ns
         self._signs = np.array(hand.signs)
         self.angle_rad = np.full(MOTORS, np.nan)
         self.current_ma = np.zeros(MOTORS)
         self.force_n = np.full(len(_TIP), np.nan)
         self.temperature_c = np.full(len(BOARDS), np.nan)
         self.overheated = np.zeros(len(BOARDS), np.bool_)
+        self._overheated_ns = 0  # when any board last said so
         self._status_flags = np.zeros(MOTORS, np.int64)  # of the newest status
         self._reported_flags = np.zeros(MOTORS, np.int64)  # of error frames, until they are cleared
         self._heard_ns = np.full(len(BOARDS), -NEVER_NS)
@@ -76,6 +79,7 @@ class Boards:
             case OverTemperature():
                 self.counts["overheats"] += 1
                 self.overheated[board] = True
+                self._overheated_ns = now_ns
                 self.temperature_c[board] = np.nan  # it is over only when a newer reading says so
             case WarningReport():
                 self.counts["warnings"] += 1
@@ -114,8 +118,13 @@ class Boards:
             self.temperature_c[board] = status.temperature_c
             self.overheated[board] &= status.temperature_c > self._resume_c
         elif not BOARDS[board].has_tactile:
-            self.overheated[board] = False  # the palm has no reading: that it works again must do
+            self.overheated[board] &= not self._palm_is_cool(now_ns)
         self._note_interval(now_ns, board)
+
+    def _palm_is_cool(self, now_ns: int) -> bool:
+        """The palm has no reading: it counts as hot as the hottest, and never as cool at once."""
+        rested = now_ns - self._overheated_ns >= self._rest_ns
+        return rested and bool(np.fmax.reduce(self.temperature_c) <= self._resume_c)
 
     def _note_interval(self, now_ns: int, board: int) -> None:
         interval = float(now_ns - self._heard_ns[board])

@@ -63,7 +63,8 @@ class HandPort:
         self._answered = threading.Event()  # by all boards, in this cycle
         self._thread = threading.Thread(target=self._run, name="hand sender", daemon=True)
         clear_ns, max_clear_ns = _ns(config.clear_s), _ns(config.max_clear_s)
-        self._boards = Boards(hand, clear_ns, max_clear_ns, config.limits.resume_c)
+        resume_c, rest_ns = config.limits.resume_c, _ns(config.recover_s)
+        self._boards = Boards(hand, clear_ns, max_clear_ns, resume_c, rest_ns)
         self._points = SetPoints(config.limits, hand, _ns(config.hold_s))
         self._link: CanLink | None = None
         self._state = Link.DOWN

@@ -27,7 +27,7 @@ def status(board=9, cdeg=(3000, 2000), force=1.5, temperature=30, errors=(NONE, 
 
 @pytest.fixture
 def boards():
-    return Boards(DexHandConfig(), 100 * MS, 400 * MS, 45.0)
+    return Boards(DexHandConfig(), 100 * MS, 400 * MS, 45.0, 1000 * MS)
 
 
 def test_a_status_is_told_in_our_units(boards):
@@ -39,7 +39,7 @@ def test_a_status_is_told_in_our_units(boards):
 
 def test_signs_turn_the_angles_round():
     signs = tuple(-1 if motor == 4 else 1 for motor in range(12))
-    boards = Boards(DexHandConfig(signs=signs), 1, 1, 45.0)
+    boards = Boards(DexHandConfig(signs=signs), 1, 1, 45.0, 1)
     boards.take(0, status(cdeg=(-3000, 2000)))
     assert np.degrees(boards.angle_rad[4:6]) == pytest.approx([30, 20])
 
@@ -99,9 +99,32 @@ def test_heat_lasts_until_a_cool_reading(boards):
     assert boards.overheated[2]
     boards.take(2, status(temperature=44))
     assert not boards.overheated.any()
+
+
+def test_the_palm_without_a_thermometer_is_hot_for_a_while_and_as_long_as_the_hottest_board(boards):
+    palm = [False, True, False, False, False, False]
+    boards.take(0, status(temperature=30))
     boards.take(3, OverTemperature(8))
     boards.take(4, status(board=8))
-    assert not boards.overheated.any()  # the palm has no thermometer: that it works again must do
+    assert boards.overheated.tolist() == palm  # that it answers says nothing
+    boards.take(5, status(temperature=46))
+    boards.take(3 + 1000 * MS, status(board=8))
+    assert boards.overheated.tolist() == palm
+    boards.take(4 + 1000 * MS, status(temperature=45))
+    boards.take(5 + 1000 * MS, status(board=8))
+    assert not boards.overheated.any()
+
+
+def test_the_palm_rests_even_if_the_others_are_cool_and_is_never_cool_while_nobody_knows(boards):
+    boards.take(0, status(temperature=30))
+    boards.take(3, OverTemperature(8))
+    for moment_ns, hot in [(2 + 1000 * MS, True), (3 + 1000 * MS, False)]:
+        boards.take(moment_ns, status(board=8))
+        assert boards.overheated[1] == hot
+    boards.take(0, OverTemperature(9))
+    boards.take(0, OverTemperature(8))
+    boards.take(5000 * MS, status(board=8))
+    assert boards.overheated[1]
 
 
 def test_other_replies_are_counted(boards):
@@ -112,6 +135,6 @@ def test_other_replies_are_counted(boards):
         [False] * 2 + [True] + [False] * 3,
         [False] * 6,
     ]
-    deaf = Boards(DexHandConfig(startup_frame="ignored"), 100 * MS, 400 * MS, 45.0)
+    deaf = Boards(DexHandConfig(startup_frame="ignored"), 100 * MS, 400 * MS, 45.0, 1000 * MS)
     deaf.take(0, Startup(9, b"\x01"))
     assert deaf.counts == {"ignored_starts": 1}  # and no `starts`, which end what runs
