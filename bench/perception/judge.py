@@ -1,4 +1,4 @@
-"""Run a backend through sequences as the service would, and judge each of its answers."""
+"""Run a backend through sequences as the service does with its default options, and judge each answer."""
 
 from __future__ import annotations
 
@@ -47,7 +47,9 @@ class Answers:
 def follow(backend: PoseBackend, frames: Iterable[Frame], rate_hz: float) -> Answers:
     """Feed all frames; `register` runs beside, and its result comes as many frames later as it took.
 
-    That time is taken in seconds of processor time, as on a core of its own.
+    That time is taken in seconds of processor time, as on a core of its own. A search begins in each frame in
+    which the die is not seen, unless one is under way, as the service's does with `search_pause_s` 0; here it
+    may find the die anywhere in the picture, there within the hand's reach.
     """
     answers = Answers()
     started, pending = False, None

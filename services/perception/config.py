@@ -107,7 +107,9 @@ class PerceptionConfig(Frozen):
     elsewhere: ElsewhereConfig = ElsewhereConfig()
     reach: ReachConfig = ReachConfig()
     knock: KnockConfig = KnockConfig()
-    search_pause_s: float = Field(default=0.2, ge=0.0, description="between two searches")
+    search_pause_s: float = Field(
+        default=0.0, ge=0.0, description="between two searches; 0: most of a core while the die is not seen"
+    )
     preview_hz: float = Field(default=2.0, ge=0.0, le=5.0, description="pictures for the dashboard; 0: none")
     declared_track_ms: float = Field(default=6.0, ge=0.0, description="lock-step only")
     declared_register_ms: float = Field(default=200.0, ge=0.0, description="lock-step only")

@@ -18,6 +18,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from common.camera_messages import CameraFrame
+
 Float64 = NDArray[np.float64]
 
 MAX_SKEW_NS = 8_000_000  # at 100 deg/s, 10 ms between colour and depth are 1 deg of error
@@ -68,6 +70,19 @@ class Frame:
     def depth_m(self) -> NDArray[np.float32]:
         """The whole depth picture (H, W) in metres; 0 where there is no reading."""
         return self.depth * np.float32(self.depth_unit_m)
+
+
+def frame_of(message: CameraFrame) -> Frame:
+    """What a message carries. Raises ValueError, as Frame does."""
+    return Frame(
+        message.colour,
+        message.depth,
+        message.depth_unit_m,
+        message.camera_matrix,
+        message.colour_time_ns,
+        message.depth_time_ns,
+        message.frame_number,
+    )
 
 
 class Refusal(StrEnum):

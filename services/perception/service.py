@@ -26,7 +26,7 @@ from services.perception.backend import PoseEstimate, Unseen
 from services.perception.config import PerceptionConfig
 from services.perception.counts import Counts
 from services.perception.filter import Measured, PoseFilter, Verdict
-from services.perception.frames import Float64, Frame
+from services.perception.frames import Float64, Frame, frame_of
 from services.perception.last_place import LastPlace
 from services.perception.palm_tag import Mount
 from services.perception.reach import Reach
@@ -87,7 +87,7 @@ class PerceptionService:
         if self._status.silent(now_ns) and not self._searches():
             self._status.lose()  # it may be anywhere when the camera is back
             out += self._forget()
-        out += self._follow(now_ns)
+        out += self._follow()
         return out + self._tell(now_ns)
 
     def stop(self, now_ns: int) -> list[Output]:
@@ -107,15 +107,7 @@ class PerceptionService:
     def _take_frame(self, now_ns: int, message: CameraFrame) -> None:
         self._counts.arrived(message.frame_number)
         try:
-            frame = Frame(
-                message.colour,
-                message.depth,
-                message.depth_unit_m,
-                message.camera_matrix,
-                message.colour_time_ns,
-                message.depth_time_ns,
-                message.frame_number,
-            )
+            frame = frame_of(message)
         except ValueError as error:
             self._counts.add("refused_invalid")
             self._status.refused(now_ns, f"picture refused: {error}")
@@ -176,6 +168,7 @@ class PerceptionService:
         else:
             self._status.unseen(result)
             self._filter.reset()
+            out += self._search_in(now_ns, frame)
         self._told, self._told_ns = self._status.now(now_ns), now_ns
         message = tracking(self._told, result, claimed=claimed, latency_ms=latency_ms, solve_ms=solve_ms)
         out.append(Publish(POSE_TRACKING, message, t_ns=frame.t_ns))
@@ -222,20 +215,21 @@ class PerceptionService:
 
     # --- what goes out ----------------------------------------------------------------------------
 
-    def _follow(self, now_ns: int) -> list[Output]:
-        """Give the newest picture to the backend, and begin a search when it has lost the die."""
+    def _follow(self) -> list[Output]:
+        """Give the newest picture to the backend."""
         frame = self._waiting
-        if frame is None:
+        if frame is None or self._tracking is not None:
             return []
-        out: list[Output] = []
-        if self._tracking is None:
-            self._tracking, self._waiting = frame, None
-            out.append(self._job("track", self._worker.track, frame, self._config.declared_track_ms))
-        if not self._registering and self._searches() and now_ns >= self._search_ns:
-            self._registering = True
-            declared_ms = self._config.declared_register_ms
-            out.append(self._job("register", self._worker.register, frame, declared_ms, "register"))
-        return out
+        self._tracking, self._waiting = frame, None
+        return [self._job("track", self._worker.track, frame, self._config.declared_track_ms)]
+
+    def _search_in(self, now_ns: int, frame: Frame) -> list[Output]:
+        """Begin a search in a picture in which the backend has not seen the die."""
+        if self._registering or now_ns < self._search_ns:
+            return []
+        self._registering = True
+        declared_ms = self._config.declared_register_ms
+        return [self._job("register", self._worker.register, frame, declared_ms, "register")]
 
     def _job(
         self,

@@ -12,6 +12,7 @@ from bench.perception.sequence import Spec
 from services.perception.backend import PoseEstimate, PoseState, Quality, Unseen
 from services.perception.frames import Frame
 from services.sim.camera import Optics
+from tests.unit.services.perception.driven import DrivenPerception
 
 K = Optics().camera_matrix
 QUALITY = Quality(1.0, 0.0, 0.0, 1.0)
@@ -151,3 +152,35 @@ def test_the_board_hides_the_die_for_as_long_as_it_says():
         assert (covers[begin : begin + HIDDEN_FRAMES] == 1).all()
         assert covers[begin - SLIDE_FRAMES - 1] == covers[begin + HIDDEN_FRAMES + SLIDE_FRAMES] == 0
     assert not covers[:40].any()
+
+
+class Elusive(Scripted):
+    """Finds nothing in its first three searches; what it finds is lost again after three frames."""
+
+    def __init__(self):
+        super().__init__()
+        self.left = 0
+
+    def register(self, frame, mask=None):
+        found = super().register(frame, mask)
+        return found if len(self.registered) > 3 else super().track(frame)
+
+    def adopt(self, found):
+        super().adopt(found)
+        self.left = 3
+
+    def track(self, frame):
+        self.left -= 1
+        self.found = self.found if self.left >= 0 else None
+        return super().track(frame)
+
+
+def test_searches_begin_in_the_same_frames_as_the_services():
+    """Each of them answered before the next frame, as those of the bench at 1 frame a second."""
+    judged, served = Elusive(), Elusive()
+    follow(judged, map(frame, range(20)), rate_hz=1.0)
+    driven = DrivenPerception(served)
+    for _ in range(20):
+        driven.see()
+    assert [number - 1 for number in served.registered] == judged.registered
+    assert judged.registered[:5] == [0, 1, 2, 3, 7]

@@ -96,10 +96,12 @@ class DrivenPerception:
     def work(self):
         """Do what waits, and what that leads to."""
         while self.jobs:
-            job = self.jobs.pop(0)
-            value, error = run_job(job)
-            self.inbox.finish(JobResult(job.name, value, error, 5_000_000))
-            self.turn()
+            self.do(self.jobs.pop(0))
+
+    def do(self, job):
+        value, error = run_job(job)
+        self.inbox.finish(JobResult(job.name, value, error, 5_000_000))
+        self.turn()
 
     def reset(self):
         self.send(RESET_REQUEST, PoseReset(True))
