@@ -117,6 +117,16 @@ class CanLink:
             bitrate_switch=self._bit_rate_switch,
             channel=_zlg_channel(self._config),
         )
+        self._send(message)
+
+    def send_bus_off(self) -> None:
+        """Tell the others that the bus is off, as a controller tells its host: for the emulator alone.
+
+        Raises Busy, BusOff, LinkError.
+        """
+        self._send(can.Message(arbitration_id=_ERROR_BUS_OFF, is_error_frame=True, dlc=8, data=bytes(8)))
+
+    def _send(self, message: can.Message) -> None:
         try:
             if self._bus.state is BusState.ERROR:
                 raise BusOff
@@ -130,10 +140,6 @@ class CanLink:
             if _number(error) in (None, *BUSY):
                 raise Busy(_line(error)) from None
             raise LinkError(_known(self._config, error) or _line(error)) from None
-
-    def send_bus_off(self) -> None:
-        """Tell the others that the bus is off, as a controller tells its host: for the emulator alone."""
-        self._bus.send(can.Message(arbitration_id=_ERROR_BUS_OFF, is_error_frame=True, dlc=8, data=bytes(8)))
 
     def receive(self, timeout_s: float) -> Frame | None:
         """Wait for a frame; None if none came. Raises BadFrame, BusOff, LinkError."""

@@ -153,6 +153,8 @@ def test_a_frame_that_is_not_sent_says_why(monkeypatch, error, raised, said):
     with pytest.raises(raised) as told:
         link.send(Frame(0x100, bytes(8)))
     assert said in str(told.value)
+    with pytest.raises(raised):
+        link.send_bus_off()
     link._bus.state = can.BusState.ERROR
     with pytest.raises(BusOff):
         link.send(Frame(0x100, bytes(8)))
