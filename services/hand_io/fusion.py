@@ -48,20 +48,27 @@ class Fusion:
         self._task = task
         self._fresh = fresh
         self._state = np.concatenate([np.zeros(MOTORS + len(_TIPS), np.float32), _UNSEEN])
+        self._accepted_ns = 0  # when the newest accepted pose was seen
         self.refused: Counter[str] = Counter()  # poses of the die, by reason
 
-    def accepts(self, header: Header, told: ObjectPose) -> bool:
+    def accepts(self, now_ns: int, header: Header, told: ObjectPose) -> bool:
         """Whether a pose may be used; one that is refused is counted, and the one before stays in use."""
-        reason = self._objection(header, told)
+        reason = self._objection(now_ns, header, told)
         if reason:
             self.refused[reason] += 1
+        else:
+            self._accepted_ns = header.t_ns
         return not reason
 
-    def _objection(self, header: Header, told: ObjectPose) -> str:
+    def _objection(self, now_ns: int, header: Header, told: ObjectPose) -> str:
         if told.source is not self._fresh.pose_source:
             return "source"
         if not header.valid:
             return "unclaimed"
+        if header.t_ns > now_ns + self._fresh.pose_ms * NS_PER_MS:
+            return "future"  # by a clock that is ahead: it would count as fresh long after its sender is gone
+        if header.t_ns < self._accepted_ns:
+            return "late"
         good = told.quality >= self._fresh.pose_quality and bool(np.linalg.norm(told.rotation) > 0.5)
         return "" if good else "quality"
 

@@ -149,7 +149,7 @@ class HandIoService:
     def step(self, now_ns: int, inbox: Inbox) -> list[Output]:
         """Take what came, decide whether the hand may move, and move on if it is time to."""
         self._hand.now_ns = now_ns
-        self._take(inbox)
+        self._take(now_ns, inbox)
         before = self._arming.state
         self._watch_over(now_ns)
         out, limp = self._answer(now_ns, inbox)
@@ -194,13 +194,13 @@ class HandIoService:
 
     # --- what comes in ----------------------------------------------------------------------------
 
-    def _take(self, inbox: Inbox) -> None:
+    def _take(self, now_ns: int, inbox: Inbox) -> None:
         for sample in inbox.take(HAND_FRAME):
             self._frame = sample.message
             off = sample.message.drive is Drive.OFF and self._arming.operational
             self._off_frames = self._off_frames + 1 if off else 0
         for sample in inbox.take(OBJECT_POSE):
-            if self._fusion.accepts(sample.header, sample.message):
+            if self._fusion.accepts(now_ns, sample.header, sample.message):
                 self._pose = sample.header, sample.message
         for sample in inbox.take(ACK):
             self._loop.take_ack(sample.message)

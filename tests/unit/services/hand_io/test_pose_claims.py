@@ -73,3 +73,12 @@ def test_without_claimed_poses_the_part_is_marked_once_the_last_one_is_stale(han
     assert sum(flag == [1, 1] for flag in flags) == 10
     assert steps[-1].state[17:20] == pytest.approx(POSE.position)
     assert told(hand, replace(POSE, position=FAR)).part_valid.all()
+
+
+@pytest.mark.parametrize(("ahead_ms", "reason"), [(200, None), (201, "future"), (0, None), (-1, "late")])
+def test_a_pose_from_the_future_or_older_than_the_accepted_one_is_refused(hand, ahead_ms, reason):
+    """The accepted one was seen at `now_ns`; the step that finds the next one comes 20 ms later."""
+    seen_ns = hand.now_ns + (FRAME_NS + ahead_ms * 10**6 if ahead_ms > 0 else ahead_ms * 10**6)
+    step = told(hand, replace(POSE, position=FAR), t_ns=seen_ns)
+    assert refused(hand) == ({f"refused_poses_{reason}": 1.0} if reason else {})
+    assert step.state[17:20] == pytest.approx(POSE.position if reason else FAR)
