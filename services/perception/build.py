@@ -53,13 +53,15 @@ def build(config: PerceptionProcess, boot_id: int) -> Built:
     die, place = _die(own.die), place_of(own, config.camera)
     backend = backend_of(own, die, config.run_dir)
     worker = PoseWorker(backend, _segment(config, die, place), die, place.tag)
-    service = PerceptionService(own, worker, place.T_palm_camera, place.misfit, boot_id)
     desk = Desk("reset", boot_id, RESET_REQUEST, PoseResetReply, lambda why: PoseResetReply(False, "", why))
     ports: dict[str, Port] = {"reset": desk}
-    if own.source.kind != "bus":
-        _check_sdk(own)
-        ports["camera"] = CameraPort(lambda: open_source(own.source), own.source.kind == "recording")
-    return Built(service, ports, {QUERY: desk.answer})
+    if own.source.kind == "bus":
+        service = PerceptionService(own, worker, place.T_palm_camera, place.misfit, boot_id)
+        return Built(service, ports, {QUERY: desk.answer})
+    _check_sdk(own)
+    port = CameraPort(lambda: open_source(own.source), own.source.kind == "recording")
+    service = PerceptionService(own, worker, place.T_palm_camera, place.misfit, boot_id, camera=port.report)
+    return Built(service, ports | {port.name: port}, {QUERY: desk.answer})
 
 
 def _segment(config: PerceptionProcess, die: Die, place: Place) -> Segment:

@@ -11,6 +11,7 @@ from dataclasses import replace
 from common.camera_messages import CameraFrame
 from common.clock import Clock, WallClock
 from common.messages import Message
+from common.service import Report
 from common.topics import CAMERA_FRAME, Topic
 from services.perception.frames import Frame, FrameSource, Refusal
 
@@ -44,6 +45,7 @@ class CameraPort:
         self._over = False
         self.counts: Counter[str] = Counter()
         self.last_error = ""
+        self._trouble = ""  # the same, until a picture comes
 
     def open(self, deliver: Callable[[Topic, Message], None]) -> None:
         """Begin to read."""
@@ -59,6 +61,10 @@ class CameraPort:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
+
+    def report(self) -> Report:
+        """Why there is no picture at the moment (empty: there is), and what was read and refused so far."""
+        return Report(self._trouble, {f"camera_{name}": float(n) for name, n in dict(self.counts).items()})
 
     def _run(self) -> None:
         """Whatever a driver raises, the reader goes on: had it ended, the camera would seem unplugged."""
@@ -97,6 +103,7 @@ class CameraPort:
         shown = self._due(frame) if self._replayed else frame
         if shown is not None:
             self.counts["frames"] += 1
+            self._trouble = ""
             self._deliver(CAMERA_FRAME, message_of(shown))
 
     def _due(self, frame: Frame) -> Frame | None:
@@ -115,7 +122,7 @@ class CameraPort:
         self.counts[name] += 1
         if name in _LOGGED and message != self.last_error:
             log.warning("camera: %s", message)
-        self.last_error = message
+        self.last_error = self._trouble = message
 
 
 def _words(error: Exception) -> str:

@@ -32,7 +32,7 @@ from services.perception.palm_tag import Mount
 from services.perception.reach import Reach
 from services.perception.screen import Screen
 from services.perception.status import Said, Status
-from services.perception.told import object_pose, tracking
+from services.perception.told import object_pose, report, tracking
 from services.perception.worker import Look, PoseWorker
 
 NS_PER_S, NS_PER_MS = 1e9, 1e6
@@ -54,9 +54,11 @@ class PerceptionService:
         T_palm_camera: Float64,
         misfit: Callable[[Float64], str],
         boot_id: int,
+        *,
+        camera: Callable[[], Report] = lambda: Report(""),
     ) -> None:
         self.boot_id = boot_id
-        self._config, self._worker = config, worker
+        self._config, self._worker, self._camera = config, worker, camera
         self._T_palm_camera = T_palm_camera
         self._screen = Screen(config.screen, misfit)
         self._status = Status(config.silence)
@@ -97,10 +99,9 @@ class PerceptionService:
     def report(self) -> Report:
         """State, counts since the start, and times over the last pictures."""
         said = self._told or Said(PoseState.SEARCHING, "")
-        words = f"{said.state.value}: {said.message}" if said.message else said.state.value
         own = {"palm_tag_px": self._look.offset_px, "knocked": float(self._look.mount is Mount.KNOCKED)}
         refused = {f"refused_{fault.value}": float(n) for fault, n in self._screen.counts.items()}
-        return Report(words, self._counts.fields() | refused | own)
+        return report(said, self._counts.fields() | refused | own, self._camera())
 
     # --- what comes in ----------------------------------------------------------------------------
 

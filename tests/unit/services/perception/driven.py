@@ -39,11 +39,12 @@ def no_misfit(camera_matrix):
 class DrivenPerception:
     """`see` shows a picture and does all jobs at once; what was published is in `poses` and `tracking`."""
 
-    def __init__(self, backend=None, tag=None, misfit=no_misfit, **options):
+    def __init__(self, backend=None, tag=None, misfit=no_misfit, camera=None, **options):
         config = PerceptionConfig(**{**STEADY, **options})
         self.backend = backend or CubeBackend(CubeConfig(), DIE)
         worker = PoseWorker(self.backend, Reach(config.reach, T_PALM_CAMERA).mask, DIE, tag)
-        self.service = PerceptionService(config, worker, T_PALM_CAMERA, misfit, 11)
+        told = {"camera": camera} if camera else {}
+        self.service = PerceptionService(config, worker, T_PALM_CAMERA, misfit, 11, **told)
         self.codec, self.now_ns = Codec(), 10**18
         self.inbox = Inbox(self.codec, self.service.inputs)
         self._seq, self.number = Counter(), 0

@@ -10,13 +10,14 @@ from common.config import ConfigError
 from common.hand_messages import ArmReply
 from services.perception import camera_port
 from services.perception.build import build, place_of
+from services.perception.calibration import Calibration, Pose, Residuals
 from services.perception.camera_port import CameraPort
 from services.perception.config import PerceptionConfig, PerceptionProcess, SourceConfig
 from services.perception.frames import Refusal, Refused
 from services.perception.recording import Recorder
 from services.perception.sources import open_source, source_at
 from tests.unit.services.perception.cubes import frame
-from tests.unit.services.perception.driven import HELD
+from tests.unit.services.perception.driven import HELD, DrivenPerception
 
 NOTHING = Refused(Refusal.TIMEOUT, "nothing came")
 OVER = Refused(Refusal.ENDED, "over")
@@ -188,6 +189,39 @@ def test_a_camera_that_is_not_there_yet_is_looked_for_again():
     got, port = delivered(later, 1)
     assert got[0].frame_number == 4
     assert port.counts["unopened"] == 1 and port.last_error
+
+
+def test_the_heartbeat_says_why_there_is_no_picture():
+    pacing, port = Pacing(), None
+
+    def fails_once():
+        pacing.set = port.counts["unopened"] == 1  # this is the last attempt
+        raise RuntimeError("no device connected")
+
+    port = CameraPort(fails_once, clock=pacing)
+    port._stop = pacing
+    driven = DrivenPerception(camera=port.report)
+    assert driven.words == "searching" and "camera_unopened" not in driven.fields
+    port._run()
+    assert driven.words == "searching; camera: no device connected"
+    assert driven.fields["camera_unopened"] == 2
+    port._pass_on(frame(HELD, 1))
+    assert driven.words == "searching" and driven.fields["camera_frames"] == 1
+
+
+def test_the_camera_of_a_recording_is_in_the_heartbeat(tmp_path):
+    residuals = Residuals(views=9, pixels_rms=0.2, position_mm=0.1, rotation_deg=0.1)
+    matrix = ((613.0, 0.0, 320.0), (0.0, 613.0, 240.0), (0.0, 0.0, 1.0))
+    Calibration(
+        serial="", date="2026-01-01", case="jig", image_size=(640, 480), camera_matrix=matrix,
+        camera_in_palm=Pose(), residuals=residuals,
+    ).save(tmp_path / "calibration.yaml")  # fmt: skip
+    source = {"kind": "recording", "path": str(tmp_path / "gone")}
+    own = PerceptionConfig(source=source, calibration=tmp_path / "calibration.yaml")
+    built = build(PerceptionProcess(task="die", run_dir=tmp_path, perception=own), 5)
+    port = built.ports["camera"]
+    port._note("unopened", "gone")
+    assert built.service.report().state == "searching; camera: gone"
 
 
 def test_it_takes_no_commands():
