@@ -8,6 +8,9 @@ from collections import Counter, deque
 
 import numpy as np
 
+from common.service import Report
+from services.perception.status import Said
+
 WINDOW = 512  # pictures that quantiles are taken over
 _NAMES = (
     "pictures",
@@ -56,3 +59,9 @@ class Counts:
             p50, p95 = np.percentile(times, (50, 95)) if times else (0.0, 0.0)
             fields |= {f"{name}_p50": float(p50), f"{name}_p95": float(p95)}
         return fields
+
+
+def report(said: Said, fields: dict[str, float], camera: Report) -> Report:
+    """What the heartbeat says: the state, what ails a camera of this machine, and all counts."""
+    words = f"{said.state.value}: {said.message}" if said.message else said.state.value
+    return Report(f"{words}; camera: {camera.state}" if camera.state else words, fields | camera.fields)

@@ -24,7 +24,7 @@ from common.topics import (
 from services.perception import rigid
 from services.perception.backend import PoseEstimate, Unseen
 from services.perception.config import PerceptionConfig
-from services.perception.counts import Counts
+from services.perception.counts import Counts, report
 from services.perception.filter import Measured, PoseFilter, Verdict
 from services.perception.frames import Float64, Frame, frame_of
 from services.perception.last_place import LastPlace
@@ -32,7 +32,7 @@ from services.perception.palm_tag import Mount
 from services.perception.reach import Reach
 from services.perception.screen import Screen
 from services.perception.status import Said, Status
-from services.perception.told import object_pose, report, tracking
+from services.perception.told import object_pose, tracking
 from services.perception.worker import Look, PoseWorker
 
 NS_PER_S, NS_PER_MS = 1e9, 1e6

@@ -9,19 +9,12 @@ import numpy as np
 from common.camera_messages import PoseTracking
 from common.hand_messages import ObjectPose, PoseSource
 from common.message_fields import Float32
-from common.service import Report
 from services.perception.backend import PoseEstimate, Quality, Unseen
 from services.perception.filter import Measured
 from services.perception.status import Said
 
 _NO_QUALITY: Float32 = np.zeros(4, np.float32)
 _NO_LABEL: Float32 = np.zeros(24, np.float32)
-
-
-def report(said: Said, fields: dict[str, float], camera: Report) -> Report:
-    """What the heartbeat says: the state, what ails a camera of this machine, and all counts."""
-    words = f"{said.state.value}: {said.message}" if said.message else said.state.value
-    return Report(f"{words}; camera: {camera.state}" if camera.state else words, fields | camera.fields)
 
 
 def object_pose(pose: Measured, estimate: PoseEstimate) -> ObjectPose:
