@@ -49,7 +49,7 @@ class Screen:
         self._config = config
         self._misfit = misfit
         self._before: Frame | None = None
-        self._print = 0  # of the newest picture, refused or not
+        self._print = 0  # of the newest picture that K, order and age let pass
         self._seen = False
         self.counts: Counter[Fault] = Counter()
 
