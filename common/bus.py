@@ -152,6 +152,7 @@ class Inbox:
         box = self._boxes[topic]
 
         def deliver(key: str, payload: bytes) -> None:
+            """Decode and put into the box, or count the refusal; runs on the bus's thread."""
             try:
                 sample = self._codec.decode(key, payload)
             except Refused as error:

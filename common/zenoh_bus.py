@@ -131,6 +131,7 @@ class ZenohBus:
         handler = declared.handler  # read once: `declared` is locked while close undeclares it
 
         def loop() -> None:
+            """Until `close` undeclares; what `handle` raises is counted."""
             while True:
                 try:
                     item = handler.recv()

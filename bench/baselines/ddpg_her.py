@@ -17,7 +17,7 @@ import numpy as np
 from stable_baselines3 import DDPG, HerReplayBuffer
 
 from bench.baselines.controller import Float32
-from bench.baselines.stable import GoalSpaces, StableController, Standardised, build
+from bench.baselines.stable import GoalSpaces, StableController, build, networks
 from common.config import Frozen
 from common.task import Task
 
@@ -43,6 +43,7 @@ class Agent(StableController):
     def __init__(self, config: Config, task: Task, seed: int) -> None:
         # --- the method ---
         def make(env: GoalSpaces) -> DDPG:
+            """The algorithm over the task's spaces; it never steps `env`."""
             return DDPG(
                 "MultiInputPolicy",
                 env,
@@ -55,11 +56,7 @@ class Agent(StableController):
                     "n_sampled_goal": config.relabelled_per_real,
                     "goal_selection_strategy": config.strategy,
                 },
-                policy_kwargs={
-                    "net_arch": list(config.hidden),
-                    "features_extractor_class": Standardised,
-                    "features_extractor_kwargs": {"task": task},
-                },
+                policy_kwargs=networks(config.hidden, task),
                 device="cpu",
             )
 

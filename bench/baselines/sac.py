@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from stable_baselines3 import SAC
 
-from bench.baselines.stable import GoalSpaces, StableController, Standardised, build
+from bench.baselines.stable import GoalSpaces, StableController, build, networks
 from common.config import Frozen
 from common.task import Task
 
@@ -39,6 +39,7 @@ class Agent(StableController):
     def __init__(self, config: Config, task: Task, seed: int) -> None:
         # --- the method ---
         def make(env: GoalSpaces) -> SAC:
+            """The algorithm over the task's spaces; it never steps `env`."""
             return SAC(
                 "MultiInputPolicy",
                 env,
@@ -47,11 +48,7 @@ class Agent(StableController):
                 tau=config.tau,
                 buffer_size=config.buffer,
                 ent_coef=config.entropy,
-                policy_kwargs={
-                    "net_arch": list(config.hidden),
-                    "features_extractor_class": Standardised,
-                    "features_extractor_kwargs": {"task": task},
-                },
+                policy_kwargs=networks(config.hidden, task),
                 device="cpu",
             )
 

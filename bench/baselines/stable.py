@@ -5,7 +5,7 @@ Letters: S state, A action, G goal.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -157,14 +157,23 @@ class StableController:
 @contextmanager
 def _seeded(seed: int) -> Iterator[None]:
     """Lend stable-baselines3, which draws from the global generators, generators of a given seed."""
-    before = np.random.get_state()  # noqa: NPY002
+    before = np.random.get_state()  # noqa: NPY002 - what the library draws from
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        np.random.seed(seed)  # noqa: NPY002
+        np.random.seed(seed)  # noqa: NPY002 - the same
         try:
             yield
         finally:
-            np.random.set_state(before)  # noqa: NPY002
+            np.random.set_state(before)  # noqa: NPY002 - the same
+
+
+def networks(hidden: Sequence[int], task: Task) -> dict[str, Any]:
+    """The library's options for networks of `hidden` units over standardised states and goals."""
+    return {
+        "net_arch": list(hidden),
+        "features_extractor_class": Standardised,
+        "features_extractor_kwargs": {"task": task},
+    }
 
 
 def build(make: Callable[[GoalSpaces], OffPolicyAlgorithm], task: Task, seed: int) -> OffPolicyAlgorithm:

@@ -83,6 +83,7 @@ class _Director:
         self._rng = rng
 
     def shoot(self, number: int) -> tuple[Frame, Truth]:
+        """Picture `number` of the sequence, as the camera would take it, and what is true of it."""
         t_s = number / self._spec.rate_hz
         colour = self._colour(t_s)
         self._arrange(t_s)

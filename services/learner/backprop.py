@@ -58,6 +58,7 @@ class _Network(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, masks: Masks | None, written: set[int], *parameters: Tensor) -> Tensor:
+        """Output (B, N, 2 S) for inputs x (B, N, I); `written` names the layers that have a gradient."""
         layers = len(parameters) // 2
         weights, biases = parameters[:layers], parameters[layers:]
         inputs, sums = [x], []
@@ -74,6 +75,7 @@ class _Network(torch.autograd.Function):
     def backward(  # pyright: ignore[reportIncompatibleMethodOverride] - the decorator hides the names
         ctx: Any, g: Tensor
     ) -> tuple[Tensor | None, ...]:
+        """Gradient of x (B, N, I) for that of the output g (B, N, 2 S); the weights' are written in place."""
         parameters, masks = ctx.parameters, ctx.masks
         layers = len(parameters) // 2
         inputs, sums = ctx.saved_tensors[:layers], ctx.saved_tensors[layers:]

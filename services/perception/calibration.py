@@ -90,7 +90,7 @@ class Calibration(Frozen):
         return np.array(self.camera_matrix, np.float64)
 
     @property
-    def T_palm_camera(self) -> Float64:  # noqa: N802
+    def T_palm_camera(self) -> Float64:  # noqa: N802 - the field's name for it
         """From the camera's frame to the palm's: (4, 4)."""
         return self.camera_in_palm.transform
 

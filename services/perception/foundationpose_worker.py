@@ -9,7 +9,7 @@ Requests have `do` (open, register, seed, track); replies have `pose` (16 number
 """
 
 # pyright: reportMissingImports=false, reportAttributeAccessIssue=false
-# ruff: noqa: UP006, UP035, UP045 - Python 3.8
+# ruff: noqa: UP006, UP035, UP045 - newer ways of writing types, which its Python 3.8 lacks
 
 import json
 import os

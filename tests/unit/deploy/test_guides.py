@@ -30,9 +30,9 @@ def test_every_yaml_of_the_documents_can_be_loaded(page, text, tmp_path):
     file = tmp_path / "written.yaml"
     file.write_text(text, encoding="utf-8")
     if text.startswith("# rig.yaml"):
-        parse(RigConfig, read_yaml(file), page)
+        assert parse(RigConfig, read_yaml(file), page)
     else:
-        load_cell(str(file))
+        assert load_cell(str(file)).run_dir
 
 
 def test_the_cell_of_a_real_hand_is_one(tmp_path):

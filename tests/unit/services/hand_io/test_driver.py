@@ -134,7 +134,8 @@ def test_bus_off_lasts_until_a_board_is_heard_again(driven, where):
     else:
         driven.links[0].replies.put(BusOff())
     driven.wait(lambda frame: frame.link is Link.BUS_OFF)
-    driven.wait(lambda frame: frame.link is Link.UP and frame.counts["opens"] == 2)
+    frame = driven.wait(lambda frame: frame.link is Link.UP and frame.counts["opens"] == 2)
+    assert frame.drive is Drive.OFF and not frame.enabled.any()
 
 
 def test_what_is_no_frame_is_counted(driven):
